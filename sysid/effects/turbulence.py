@@ -280,7 +280,7 @@ class TurbulenceModel:
     azimuth_rad: Mapping[str, float] = field(default_factory=dict)
 
     @property
-    def air(self) -> bool:
+    def is_turbulent(self) -> bool:
         """Whether the air is turbulent, by gusts across the path.
 
         Transient moments resemble air that rotates, sensor errors gusts along the path.
@@ -438,7 +438,7 @@ def process_of(values: FloatArray, V: float, states: GustStates) -> tuple[FloatA
     return noise, begin
 
 
-def estimate_air(
+def estimate_turbulence(
     linear: Linear,
     measured: Sequence[FloatArray],
     rows: Sequence[int],
@@ -446,7 +446,7 @@ def estimate_air(
     V: Sequence[float],
     flights: Sequence[str],
     states: GustStates,
-    prior_model: TurbulenceModel | None = None,
+    initial: TurbulenceModel | None = None,
     pool: Processes = SERIAL,
     kinds: Sequence[str] = (),
     psi_rad: Sequence[float] | None = None,
@@ -464,12 +464,12 @@ def estimate_air(
     rows : sequence of int
         Rows of OUTPUTS that were measured.
     noise : (m,) array
-        Sensor noise; includes the factors of ``prior_model``.
+        Sensor noise; includes the factors of ``initial``.
     V, flights : sequence
         Airspeed [m/s] and flight of each segment.
     states : GustStates
         Structure of the gusts at the start.
-    prior_model : TurbulenceModel, optional
+    initial : TurbulenceModel, optional
         Start of the search. Its structure is kept if new intensities and noise gain no more than
         chance.
     pool : Processes
@@ -488,26 +488,32 @@ def estimate_air(
         Changes of the sensors' noise.
     """
     psi_rad = [0.0] * len(measured) if psi_rad is None else psi_rad
-    prior_factors = np.ones(len(noise)) if prior_model is None else prior_model.factors
+    is_first = initial is None
+    prior_factors = np.ones(len(noise)) if initial is None else initial.factors
     search = _Search(linear, measured, rows, noise / prior_factors, V, pool)
     segments = _evenly_spaced(range(len(measured)), _MAX_SEGMENTS)
     segments_of_flight = _segments_of(flights)
     # 1. Start: light air of several strengths, or the air before.
-    if prior_model is None:
+    if initial is None:
         each = tuple(states._replace(psi_rad=psi) for psi in psi_rad)
         starts = [_Point(each, f * LIGHT_AIR, prior_factors) for f in _FACTORS]
     else:
         starts = _points_of(
-            prior_model.in_segments(V, flights, psi_rad), flights, has_noise=bool(kinds)
+            initial.in_segments(V, flights, psi_rad), flights, has_noise=bool(kinds)
         )
     start = search.best(segments, starts)
     # 2. Intensities, and the sensors' noise.
     optimum = search.descend(segments, start, kinds)
     # 3. Structure, passing speed and intensities of each flight, if the start was far.
-    is_far = prior_model is None or start.cost - optimum.cost > SIGNIFICANT_Z**2
+    is_far = is_first or start.cost - optimum.cost > SIGNIFICANT_Z**2
     chosen = (
         search.choose_air(
-            segments, segments_of_flight, optimum, flights, kinds, is_first=prior_model is None
+            segments,
+            segments_of_flight,
+            optimum,
+            flights,
+            kinds,
+            is_first=is_first,
         )
         if is_far
         else optimum
@@ -516,8 +522,8 @@ def estimate_air(
     best = search.best(segments, [chosen])
     gain, across = (
         (search.loss(segments, best, factors) for factors in (0.0, _WITHOUT_ACROSS))
-        if prior_model is None
-        else (prior_model.gain, prior_model.across)
+        if initial is None
+        else (initial.gain, initial.across)
     )
     single_moments = np.where(np.eye(len(LIGHT_AIR)), _NEGLIGIBLE, 1.0)[_MOMENTS]
     losses = np.array([search.loss(segments, best, factors) for factors in single_moments])
@@ -531,7 +537,7 @@ def estimate_air(
         across,
         np.where(np.isfinite(losses), losses, np.nan),
         best.factors,
-        None if prior_model is None else prior_model.colour,
+        None if initial is None else initial.colour,
         {f: best.states[members[0]].azimuth_rad for f, members in segments_of_flight.items()},
     ), best.factors / prior_factors
 

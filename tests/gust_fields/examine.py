@@ -34,10 +34,10 @@ from tests.hidden_effects.gusts import KNOT
 from tests.hidden_effects.manoeuvres import card
 from uqharness.cli.main import main as uqharness
 from uqharness.identification.linearised import (
-    StagedModels,
     effect_columns,
     make_flight_data,
     one_step_estimates,
+    stage_models,
     with_jumping_flights,
 )
 from uqharness.refinement.candidates import candidate_effects
@@ -206,12 +206,12 @@ def measure(paths: list[Path]) -> Finding:
     setup = make_flight_data(aircraft, flights, measured)
     names = tuple(aircraft.card.parameters)
     limits = {n: c.bounds or (-np.inf, np.inf) for n, c in aircraft.card.parameters.items()}
-    with StagedModels(aircraft, setup) as bench:
-        fdm = bench.model.open(aircraft.dt_s)
+    with stage_models(aircraft, setup) as models:
+        fdm = models.model.open(aircraft.dt_s)
         truth = {n: float(fdm[n]) for n in names if n.startswith("aero/")}
-        setup = with_jumping_flights(setup, bench.model)
-        replayed = fit_without_effects(aircraft, bench, setup, names, limits, SERIAL)
-        air = fit_in_turbulence(aircraft, bench, setup, replayed, limits, SERIAL)
+        setup = with_jumping_flights(setup, models.model)
+        replayed = fit_without_effects(aircraft, models, setup, names, limits, SERIAL)
+        air = fit_in_turbulence(aircraft, models, setup, replayed, limits, SERIAL)
     effects = candidate_effects(air.data, names, ())
     columns = effect_columns(air.data, air.fit.probes, air.fit.trajectory, effects)
     estimator = PredictionErrorEstimator(air.turbulence)

@@ -469,13 +469,14 @@ def _fit_filter_error(
 ) -> Identification:
     """Estimate by filter error in turbulence, from the result of output error."""
     # Imported here: most flights need no filter.
+    from uqharness.identification.linearised.flight_data import StagedModels
     from uqharness.identification.linearised.prediction_error import (
         TOLERANCE as FILTER_TOLERANCE,
     )
     from uqharness.identification.turbulence import ITERATIONS as FILTER_ITERATIONS
     from uqharness.identification.turbulence import (
         FilterRequest,
-        filter_setup,
+        filter_data,
         identify_in_turbulence,
     )
 
@@ -485,7 +486,7 @@ def _fit_filter_error(
     filter_request = FilterRequest(
         request.outputs, request.biases, request.delays, request.measured, request.ideal
     )
-    setup = filter_setup(aircraft, flights, filter_request, start.result)
+    data = filter_data(aircraft, flights, filter_request, start.result)
     with (
         ReplayFolder(aircraft, measured=request.measured, ideal=CONTROLS) as direct_model,
         worker_map(request.workers) as pool,
@@ -493,8 +494,8 @@ def _fit_filter_error(
         return identify_in_turbulence(
             start.result,
             start.fitted,
-            (model, direct_model),
-            setup,
+            StagedModels(model, direct_model),
+            data,
             start.limits,
             start.fixed,
             pool=pool,

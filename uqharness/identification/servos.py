@@ -21,11 +21,11 @@ from sysid.parallel import Processes
 from uqharness.identification.linearised import (
     FlightData,
     ModelState,
-    StagedModels,
     Trajectory,
     best_replay,
     make_flight_data,
     refit,
+    stage_models,
     with_jumping_flights,
 )
 from uqharness.identification.ordinary import is_ordinary
@@ -188,53 +188,53 @@ def _fit(
         for n, c in aircraft.card.parameters.items()
     }
     # The same model flies with the card's servos or with ideal ones.
-    setup = make_flight_data(aircraft, flights, measured, ideal)
-    with StagedModels(aircraft, setup) as bench:
-        setup = with_jumping_flights(setup, bench.model)
-        lagging = tuple(c for c in bench.model.lagging if c in SURFACES)
-        current = bench.model.current_values(aircraft.dt_s, names)
+    data = make_flight_data(aircraft, flights, measured, ideal)
+    with stage_models(aircraft, data) as models:
+        data = with_jumping_flights(data, models.model)
+        lagging = tuple(c for c in models.model.lagging if c in SURFACES)
+        current = models.model.current_values(aircraft.dt_s, names)
         equation_error_theta, _ = equation_error_start(
-            bench.model,
-            bench.direct_model,
+            models.model,
+            models.direct_model,
             flights,
-            setup.segments,
+            data.segments,
             names,
             current,
             limits=[limits[n] for n in names],
         )
-        starts = tuple(s.start.copy() for s in setup.segments)
+        starts = tuple(s.start.copy() for s in data.segments)
         # Start from equation error, or from the values of the XML if these fly better.
         points = [
             ModelState(
                 dict(zip(names, values.tolist(), strict=True)),
-                dict.fromkeys(setup.nuisance, 0.0),
+                dict.fromkeys(data.nuisance, 0.0),
                 starts,
             )
             for values in (equation_error_theta, current)
         ]
         try:
-            best = best_replay(bench.model, setup, points, pool)
-            fit = refit(bench.model, bench.direct_model, setup, best.point, names, limits, pool)
+            best = best_replay(models.model, data, points, pool)
+            fit = refit(models, data, best.point, names, limits, pool)
         except np.linalg.LinAlgError:
             return None
     return _ServoFit(
-        _log_likelihood(setup, fit.trajectory), lagging, _common_s(setup, fit.trajectory.point)
+        _log_likelihood(data, fit.trajectory), lagging, _common_s(data, fit.trajectory.point)
     )
 
 
-def _log_likelihood(setup: FlightData, replays: Trajectory) -> float:
+def _log_likelihood(data: FlightData, replays: Trajectory) -> float:
     """Return the log likelihood of replays up to a constant, each channel's noise its own
     residual.
     """
-    residual = np.concatenate([z - y for z, y in zip(setup.measured, replays.outputs, strict=True)])
+    residual = np.concatenate([z - y for z, y in zip(data.measured, replays.outputs, strict=True)])
     count = np.isfinite(residual).sum(axis=0)
     square = np.nansum(residual**2, axis=0) / np.maximum(count, 1)
     # Floor for channels without any error, whose log likelihood would be infinite.
-    floor = (1e-6 * setup.noise) ** 2
+    floor = (1e-6 * data.noise) ** 2
     return -0.5 * float(np.sum(count * np.log(np.maximum(square, floor))))
 
 
-def _common_s(setup: FlightData, point: ModelState) -> float:
+def _common_s(data: FlightData, point: ModelState) -> float:
     """Return the time by which every inertial sensor lags the commands [s]; 0 where signs
     differ.
     """

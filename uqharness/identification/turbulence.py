@@ -27,6 +27,7 @@ from uqharness.errors import BadInputError
 from uqharness.identification.linearised.flight_data import (
     FlightData,
     ModelState,
+    StagedModels,
     make_flight_data,
     with_card_noise,
     with_estimator_noise,
@@ -40,7 +41,7 @@ from uqharness.identification.linearised.prediction_error import (
 )
 from uqharness.identification.linearised.replay_fit import point_of
 from uqharness.identification.replay_fit import Identification, ReplayFit, by_channel
-from uqharness.replay import CONTROL_DELAY, Flight, ReplayModel, delayed, shifted_command_warnings
+from uqharness.replay import CONTROL_DELAY, Flight, delayed, shifted_command_warnings
 from uqharness.simulator import Aircraft
 
 CONVERGED, ITERATIONS = 2.0, 16
@@ -79,7 +80,7 @@ class FilterRequest:
     ideal: Sequence[str]
 
 
-def filter_setup(
+def filter_data(
     aircraft: Aircraft, flights: Sequence[Flight], request: FilterRequest, result: Identification
 ) -> FlightData:
     """Prepare the flights for filter error: as `refine` does, but with the delays of output error.
@@ -87,38 +88,38 @@ def filter_setup(
     ``result`` is that of output error; its residuals bound the uncertainty of channels that an
     estimator computed.
     """
-    setup = make_flight_data(aircraft, flights, request.measured, request.ideal)
+    data = make_flight_data(aircraft, flights, request.measured, request.ideal)
     # Keep the requested channels only.
     if request.outputs is not None:
-        columns = [k for k, c in enumerate(setup.outputs) if c in request.outputs]
-        outputs = tuple(setup.outputs[k] for k in columns)
-        setup = replace(
-            setup,
+        columns = [k for k, c in enumerate(data.outputs) if c in request.outputs]
+        outputs = tuple(data.outputs[k] for k in columns)
+        data = replace(
+            data,
             outputs=outputs,
-            measured=tuple(z[:, columns] for z in setup.measured),
-            noise=setup.noise[columns],
+            measured=tuple(z[:, columns] for z in data.measured),
+            noise=data.noise[columns],
         )
     # By default the sensors of a log are late relative to its gyros, and so are its controls: the
     # instant at which commands act is determined much better than a delay common to all sensors.
-    late = delayed(flights, setup.outputs, request.delays)
+    late = delayed(flights, data.outputs, request.delays)
     timed = tuple(f for f, names in late.items() if CONTROL_DELAY in names)
     sensors = {f: [n for n in names if n != CONTROL_DELAY] for f, names in late.items()}
-    setup = replace(setup, timed=timed, late={f: names for f, names in sensors.items() if names})
-    setup = with_card_noise(
-        aircraft, replace(setup, biased=tuple(b for b in request.biases if b in setup.outputs))
+    data = replace(data, timed=timed, late={f: names for f, names in sensors.items() if names})
+    data = with_card_noise(
+        aircraft, replace(data, biased=tuple(b for b in request.biases if b in data.outputs))
     )
     # Residuals of output error limit the noise of channels that were estimated on board.
     residual_rms = {
         c: rms(r) for c, r in zip(result.outputs, np.concatenate(result.residual).T, strict=True)
     }
-    return replace(setup, noise=with_estimator_noise(setup, residual_rms))
+    return replace(data, noise=with_estimator_noise(data, residual_rms))
 
 
 def identify_in_turbulence(
     result: Identification,
     fitted: ReplayFit,
-    models: tuple[ReplayModel, ReplayModel],
-    setup: FlightData,
+    models: StagedModels,
+    data: FlightData,
     limits: Sequence[tuple[float, float]],
     fixed: Mapping[str, str],
     *,
@@ -131,10 +132,9 @@ def identify_in_turbulence(
     ----------
     result, fitted
         Result and fit of output error, the start.
-    models : tuple of ReplayModel
-        The aircraft with its actuators, and with every control passed through.
-    setup : Setup
-        Flights as `filter_setup` prepares them.
+    models : StagedModels
+    data : FlightData
+        Flights as `filter_data` prepares them.
     limits : sequence
         Bounds of the parameters.
     fixed : Mapping
@@ -161,17 +161,17 @@ def identify_in_turbulence(
     initial = dict(zip(result.names, result.initial.tolist(), strict=True))
 
     def fit_from(
-        setup: FlightData, point: ModelState, gusts: TurbulenceModel | None = None
+        data: FlightData, point: ModelState, turbulence: TurbulenceModel | None = None
     ) -> TurbulentFit:
         try:
             return gust_refit(
-                *models,
-                setup,
+                models,
+                data,
                 point,
                 free,
                 bounds,
                 pool,
-                gusts,
+                turbulence,
                 ITERATIONS,
                 tune=True,
                 initial={n: initial[n] for n in free},
@@ -184,8 +184,8 @@ def identify_in_turbulence(
             ) from None
 
     # Start at the estimates of output error, or at the model's values.
-    fit = fit_from(setup, point_of(fitted, setup, result.names))
-    if not fit.gusts.air:
+    fit = fit_from(data, point_of(fitted, data, result.names))
+    if not fit.turbulence.is_turbulent:
         return replace(result, notes=(*result.notes, NO_TURBULENCE))
     values, cov, crb, reason = _estimates(fit, free, bounds)
     if undetermined := {n: text for n, text in reason.items() if text}:
@@ -195,7 +195,7 @@ def identify_in_turbulence(
             fit.fit.trajectory.point,
             values={**fit.fit.trajectory.point.values, **{n: initial[n] for n in undetermined}},
         )
-        fit = fit_from(fit.setup, point, fit.gusts)
+        fit = fit_from(fit.data, point, fit.turbulence)
         values, cov, crb, reason = _estimates(fit, free, bounds)
     # Assemble the result by the names of the request.
     identified = [n for n in free if not reason[n]]
@@ -204,26 +204,28 @@ def identify_in_turbulence(
     std, std_crb = (
         _of_names(result.names, identified, np.sqrt(np.diagonal(c)[where])) for c in (cov, crb)
     )
-    outputs, modelled = fit.setup.outputs, _one_ahead(fit)
+    outputs, modelled = fit.data.outputs, _one_ahead(fit)
     # Innovations: measured minus predicted one sample ahead.
-    residual = [z - y for z, y in zip(fit.setup.measured, modelled, strict=True)]
+    residual = [z - y for z, y in zip(fit.data.measured, modelled, strict=True)]
     # Standardised innovations must be white if model and noise are right.
-    standardised = [np.where(w.is_measured, w.residual, np.nan) for w in fit.fit.evidence.white]
+    standardised = [np.where(w.is_measured, w.residual, np.nan) for w in fit.fit.information.white]
     residual_colour = colour(standardised)
     warnings = [
         f"{n} not identified: {reason[n]}" for n in result.names if reason[n] and n not in fixed
     ]
     warnings += by_channel(colour_warnings(residual_colour, std, std_crb, "filter error"), outputs)
-    warnings += _moment_warnings(fit.gusts)
+    warnings += _moment_warnings(fit.turbulence)
     nuisance = _nuisance(fit, cov, len(free))
-    warnings = [*shifted_command_warnings(setup.flights, setup.segments, nuisance), *warnings]
-    converged = fit.length < CONVERGED
+    warnings = [*shifted_command_warnings(data.flights, data.segments, nuisance), *warnings]
+    converged = fit.step_length < CONVERGED
     if not converged:
-        warnings.insert(0, f"not converged: the last step is {fit.length:.2g} standard errors long")
+        warnings.insert(
+            0, f"not converged: the last step is {fit.step_length:.2g} standard errors long"
+        )
     note = (
         "estimated by filter error, because the residuals of output error showed turbulence"
-        f" (twice the log likelihood is {fit.gusts.gain:.4g} above that of calm air;"
-        f" {fit.gusts.words}); time histories show one-step predictions"
+        f" (twice the log likelihood is {fit.turbulence.gain:.4g} above that of calm air;"
+        f" {fit.turbulence.words}); time histories show one-step predictions"
     )
     return replace(
         result,
@@ -240,11 +242,11 @@ def identify_in_turbulence(
         cov=cov[np.ix_(where, where)],
         nuisance=nuisance,
         outputs=outputs,
-        measured=list(fit.setup.measured),
+        measured=list(fit.data.measured),
         modelled=modelled,
         residual=residual,
         whiteness=residual_colour.p_value,
-        noise=dict(zip(outputs, fit.setup.noise.tolist(), strict=True)),
+        noise=dict(zip(outputs, fit.data.noise.tolist(), strict=True)),
         innovation_std=_innovation_std(fit),
         method="filter error",
         converged=converged,
@@ -261,19 +263,19 @@ def _innovation_std(fit: TurbulentFit) -> dict[str, float]:
     innovations are judged by this and not by the noise. Empty where the gusts of any flight are
     stronger than turbulence can be: a wrong model then takes them for its own error.
     """
-    strength = max(gust_strength_mps2(values) for values in fit.gusts.by_flight.values())
+    strength = max(gust_strength_mps2(values) for values in fit.turbulence.by_flight.values())
     if strength > SEVERE_GUSTS_MPS2:
         return {}
-    square = np.mean([w.deviation**2 for w in fit.fit.evidence.white], axis=0)
-    return dict(zip(fit.setup.outputs, np.sqrt(square).tolist(), strict=True))
+    square = np.mean([w.deviation**2 for w in fit.fit.information.white], axis=0)
+    return dict(zip(fit.data.outputs, np.sqrt(square).tolist(), strict=True))
 
 
-def _moment_warnings(gusts: TurbulenceModel) -> list[str]:
+def _moment_warnings(turbulence: TurbulenceModel) -> list[str]:
     """Return a warning for each axis with moments that the model does not explain.
 
     The filter treats them as process noise.
     """
-    gains = zip(("roll", "pitch", "yaw"), gusts.moments.tolist(), strict=True)
+    gains = zip(("roll", "pitch", "yaw"), turbulence.moments.tolist(), strict=True)
     return [
         f"moments act about the {axis} axis that the model does not explain: including them raises"
         f" twice the log likelihood by {gain:.0f}. A term is missing, or the turbulence exceeds the"
@@ -297,10 +299,10 @@ def _estimates(
     An empty reason means identified. The covariance includes nuisance parameters in the fit's
     order; the last step is applied.
     """
-    evidence, at = fit.fit.evidence, fit.fit.trajectory.point.values
-    names = list(evidence.names)
-    gate = assess(evidence.total[0], tuple(names))
-    steps = corrected_estimates(evidence, names, names)
+    information, at = fit.fit.information, fit.fit.trajectory.point.values
+    names = list(information.names)
+    gate = assess(information.total[0], tuple(names))
+    steps = corrected_estimates(information, names, names)
     # Scale the covariance by standard errors corrected for coloured residuals; correlations stay.
     wider = [steps[n][1] / steps[n][2] for n in names]
     values, reason = {}, dict.fromkeys(free, "")
@@ -321,9 +323,9 @@ def _nuisance(fit: TurbulentFit, cov: FloatArray, first: int) -> dict[str, tuple
     """Return biases, delays and shares with standard errors, by output error's names, from column
     ``first`` on.
     """
-    names, point = list(fit.fit.evidence.names), fit.fit.trajectory.point
+    names, point = list(fit.fit.information.names), fit.fit.trajectory.point
     # The last step is taken, as for the parameters.
-    step, std = fit.fit.evidence.step()[0], np.sqrt(np.diagonal(cov))
+    step, std = fit.fit.information.step()[0], np.sqrt(np.diagonal(cov))
     return {
         n.replace("lateness/", "delay/"): (point.nuisance[n] + float(step[k]), float(std[k]))
         for k, n in enumerate(names)
@@ -336,29 +338,29 @@ def _one_ahead(fit: TurbulentFit) -> list[FloatArray]:
 
     Outputs of sensors that are late by whole rows are shifted accordingly.
     """
-    setup, point, gust_fit = fit.setup, fit.fit.trajectory.point, fit.fit
+    data, point, gust_fit = fit.data, fit.fit.trajectory.point, fit.fit
     # Run the filter with the estimated process noise.
     followed = filter_segments(
         gust_fit.steps,
-        aligned_outputs(setup, point),
-        setup.output_rows,
-        setup.noise,
-        fit.gusts.process,
+        aligned_outputs(data, point),
+        data.output_rows,
+        data.noise,
+        fit.turbulence.process,
     )
-    delta = gust_fit.evidence.step()[0]
+    delta = gust_fit.information.step()[0]
     out = []
     for segment, steps, one, w in zip(
-        setup.segments, gust_fit.steps, followed, gust_fit.evidence.white, strict=True
+        data.segments, gust_fit.steps, followed, gust_fit.information.white, strict=True
     ):
         # State estimates are linear in the start state and the last step.
         path = one.path_from(w.start[:, 0] + w.start[:, 1:] @ delta)
-        predicted = steps.y_ref[:, setup.output_rows] + np.einsum(
-            "nij,nj->ni", steps.H[:, setup.output_rows], path
+        predicted = steps.y_ref[:, data.output_rows] + np.einsum(
+            "nij,nj->ni", steps.H[:, data.output_rows], path
         )
-        late = delay_rows(setup, segment, point)
+        late = delay_rows(data, segment, point)
         out.append(
             np.column_stack(
-                [shift_rows(predicted[:, k], late[c]) for k, c in enumerate(setup.outputs)]
+                [shift_rows(predicted[:, k], late[c]) for k, c in enumerate(data.outputs)]
             )
         )
     return out

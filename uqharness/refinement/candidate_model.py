@@ -31,11 +31,11 @@ from uqharness.identification.linearised import (
     FlightData,
     Linearisation,
     ModelState,
-    StagedModels,
     apply_step,
     effect_columns,
     fit_at,
     local_rate_limits,
+    stage_models,
     step_starts,
     with_sensors_of,
 )
@@ -292,8 +292,8 @@ class AircraftFitter:
                 replace(joint_point(context, reference, list(values)), effects=values),
                 replace(context.baseline.trajectory.point, effects=values),
             )
-            with StagedModels(staged, data) as bench:
-                fit = context.estimator.fit(bench, data, starts, names, context.limits, self.pool)
+            with stage_models(staged, data) as models:
+                fit = context.estimator.fit(models, data, starts, names, context.limits, self.pool)
             return assess(context, fit, values)
         except np.linalg.LinAlgError:
             return None
@@ -313,9 +313,9 @@ class AircraftFitter:
         if moves_sensors(data, point):
             return model
         names = [n for n in context.parameters if n in point.values]
-        with StagedModels(staged, data) as bench:
+        with stage_models(staged, data) as models:
             trajectory = fit_output_error(
-                bench.model, data, point, names, context.limits, self.pool
+                models.model, data, point, names, context.limits, self.pool
             )
             # The concentrated likelihood and this cost, of fixed noise, differ a little at the
             # optimum.
@@ -325,15 +325,14 @@ class AircraftFitter:
             ):
                 return model
             fit = fit_at(
-                bench.model,
-                bench.direct_model,
+                models,
                 data,
                 [*context.parameters, *values],
                 trajectory,
                 self.pool,
                 model.fit.analytic,
             )
-        polished = assess(context, ModelFit(data, fit, trajectory.cost), values)
+        polished = assess(context, ModelFit(data, fit, trajectory.cost, None), values)
         estimates = {key: trajectory.point.effects[key] for key in carried_effects(data)}
         return replace(polished, selection=with_values(polished.selection, estimates))
 

@@ -51,12 +51,13 @@ from uqharness.identification.linearised import (
     PRIOR,
     FlightData,
     Linearisation,
-    StagedModels,
+    TurbulentFit,
     control_delay_name,
     effect_columns,
     is_turbulent,
     make_flight_data,
     one_step_estimates,
+    stage_models,
     with_jumping_flights,
 )
 from uqharness.plugin import Estimate
@@ -76,7 +77,6 @@ from uqharness.refinement.candidates import (
 )
 from uqharness.refinement.estimators import (
     Estimator,
-    ModelFit,
     OutputErrorFit,
     ReplayEstimator,
     estimator_for,
@@ -322,14 +322,14 @@ def fit_baseline(
         n: unlimited if c.bounds is None else c.bounds for n, c in aircraft.card.parameters.items()
     }
     # One staged copy of the aircraft serves both estimators.
-    turbulent_fit: ModelFit | None = None
-    with StagedModels(aircraft, data) as bench:
+    turbulent_fit: TurbulentFit | None = None
+    with stage_models(aircraft, data) as models:
         callback("re-identifying the parameters")
-        data = with_jumping_flights(data, bench.model)
+        data = with_jumping_flights(data, models.model)
         replayed = stages(
             f"parameters{suffix}",
             OutputErrorFit,
-            lambda: fit_without_effects(aircraft, bench, data, requested, limits, pool),
+            lambda: fit_without_effects(aircraft, models, data, requested, limits, pool),
         )
         # The noise of the fit weighs the residuals from here on.
         notes, fitted = replayed.notes, replace(data, noise=replayed.noise)
@@ -341,15 +341,14 @@ def fit_baseline(
             )
             turbulent_fit = stages(
                 f"air{suffix}",
-                ModelFit,
-                lambda: fit_in_turbulence(aircraft, bench, fitted, replayed, limits, pool),
+                TurbulentFit,
+                lambda: fit_in_turbulence(aircraft, models, fitted, replayed, limits, pool),
             )
             # Missing effects, too, leave what looks like turbulence: the likelihood decides,
             # with all candidates in calm air against none in turbulence.
             calm_cost = least_cost_in_calm_air(fitted, replayed.fit, effects)
-            air = turbulent_fit.turbulence
-            is_air = air is not None and air.air
-            if not is_air or calm_cost < turbulent_fit.neg2_log_likelihood:
+            in_calm_air = not turbulent_fit.turbulence.is_turbulent
+            if in_calm_air or calm_cost < turbulent_fit.neg2_log_likelihood:
                 turbulent_fit, notes = None, [*notes, CALM_AFTER_ALL]
     if turbulent_fit is None:
         callback(f"scoring {len(effects)} candidate effects")

@@ -39,9 +39,11 @@ from uqharness.identification.linearised import (
     PRIOR,
     FlightData,
     Linearisation,
+    ModelFit,
     ModelState,
     StagedModels,
     Trajectory,
+    TurbulentFit,
     acts_on_motion,
     best_replay,
     cost_of,
@@ -59,6 +61,7 @@ from uqharness.identification.linearised import (
     refit,
     replay_at,
     shift_rows,
+    stage_models,
     unfiltered_residuals,
     with_card_noise,
     with_estimator_noise,
@@ -74,27 +77,6 @@ ESTIMATOR_ROUNDS = 2
 DIVERGED = 1e6
 """Gain over calm air that only says that the model leaves the flights in calm air."""
 _AXES = ("p_radps", "q_radps", "r_radps")
-
-
-@dataclass(frozen=True)
-class ModelFit:
-    """A model fitted to flights.
-
-    Attributes
-    ----------
-    data : FlightData
-        The flights, with the sensor noise of the fit.
-    fit : Linearisation
-    neg2_log_likelihood : float
-        Minus twice the log likelihood, up to a constant.
-    turbulence : TurbulenceModel or None
-        The air, estimated with the model; None if calm.
-    """
-
-    data: FlightData
-    fit: Linearisation
-    neg2_log_likelihood: float
-    turbulence: TurbulenceModel | None = None
 
 
 @dataclass(frozen=True)
@@ -156,7 +138,7 @@ class Estimator(ABC):
     @abstractmethod
     def fit(
         self,
-        bench: StagedModels,
+        models: StagedModels,
         data: FlightData,
         starts: Sequence[ModelState],
         names: Sequence[str],
@@ -172,7 +154,7 @@ class Estimator(ABC):
     @abstractmethod
     def linearise(
         self,
-        bench: StagedModels,
+        models: StagedModels,
         data: FlightData,
         trajectory: Trajectory,
         names: Sequence[str],
@@ -246,7 +228,7 @@ class Estimator(ABC):
     @abstractmethod
     def residuals(
         self,
-        bench: StagedModels,
+        models: StagedModels,
         data: FlightData,
         point: ModelState,
         noise: FloatArray,
@@ -286,7 +268,7 @@ class ReplayEstimator(Estimator):
 
     def fit(
         self,
-        bench: StagedModels,
+        models: StagedModels,
         data: FlightData,
         starts: Sequence[ModelState],
         names: Sequence[str],
@@ -294,20 +276,20 @@ class ReplayEstimator(Estimator):
         pool: Processes,
     ) -> ModelFit:
         """Minimise output error from the start whose replay is closest to the flights."""
-        nearest = best_replay(bench.model, data, starts, pool)
-        fit = refit(bench.model, bench.direct_model, data, nearest.point, names, limits, pool)
-        return ModelFit(data, fit, fit.trajectory.cost)
+        nearest = best_replay(models.model, data, starts, pool)
+        fit = refit(models, data, nearest.point, names, limits, pool)
+        return ModelFit(data, fit, fit.trajectory.cost, None)
 
     def linearise(
         self,
-        bench: StagedModels,
+        models: StagedModels,
         data: FlightData,
         trajectory: Trajectory,
         names: Sequence[str],
         pool: Processes,
     ) -> tuple[FlightData, Linearisation]:
         """Linearise the flights about their replays."""
-        return data, fit_at(bench.model, bench.direct_model, data, names, trajectory, pool)
+        return data, fit_at(models, data, names, trajectory, pool)
 
     def information(
         self,
@@ -333,7 +315,7 @@ class ReplayEstimator(Estimator):
 
     def residuals(
         self,
-        bench: StagedModels,
+        models: StagedModels,
         data: FlightData,
         point: ModelState,
         noise: FloatArray,
@@ -343,7 +325,7 @@ class ReplayEstimator(Estimator):
 
         The fit starts from those of the point, or from measured start states, as `compare` does.
         """
-        model, start = bench.model, replace(with_measured_starts(point, data), nuisance={})
+        model, start = models.model, replace(with_measured_starts(point, data), nuisance={})
         trajectory = replay_at(model, data, start, pool)
         if np.isfinite(trajectory.cost):
             problem = replace(observations_of(data, start.effects), properties=start.values)
@@ -388,7 +370,7 @@ class PredictionErrorEstimator(Estimator):
 
     def fit(
         self,
-        bench: StagedModels,
+        models: StagedModels,
         data: FlightData,
         starts: Sequence[ModelState],
         names: Sequence[str],
@@ -400,9 +382,8 @@ class PredictionErrorEstimator(Estimator):
         Without the effect its contribution appeared as sensor noise, and a filter that follows
         vanes too slowly biases their scales and rates.
         """
-        result = gust_refit(
-            bench.model,
-            bench.direct_model,
+        return gust_refit(
+            models,
             data,
             starts[0],
             names,
@@ -411,22 +392,21 @@ class PredictionErrorEstimator(Estimator):
             self.turbulence,
             tune=True,
         )
-        return ModelFit(result.setup, result.fit, result.neg2_log_likelihood, result.gusts)
 
     def linearise(
         self,
-        bench: StagedModels,
+        models: StagedModels,
         data: FlightData,
         trajectory: Trajectory,
         names: Sequence[str],
         pool: Processes,
     ) -> tuple[FlightData, Linearisation]:
         """Linearise the flights about one-step predictions in the same air."""
-        models, point = (bench.model, bench.direct_model), trajectory.point
+        point = trajectory.point
         result = gust_refit(
-            *models, data, point, names, {}, pool, self.turbulence, 1, fixed_air=True
+            models, data, point, names, {}, pool, self.turbulence, 1, fixed_air=True
         )
-        return result.setup, result.fit
+        return result.data, result.fit
 
     def information(
         self,
@@ -445,7 +425,7 @@ class PredictionErrorEstimator(Estimator):
             colour = likeliest_colour(
                 followed,
                 join_columns(fit.columns, regressors),
-                (colour, fit.evidence),
+                (colour, fit.information),
                 _information(data, fit, regressors, followed),
                 {e.key: self.least_critical_t**2 + self.required_gain(e) for e in candidates},
                 PRIOR,
@@ -497,13 +477,13 @@ class PredictionErrorEstimator(Estimator):
         """Estimate the air from this one; keep it where no filter follows the flights with such a
         model.
         """
-        with StagedModels(aircraft, data) as bench:
+        with stage_models(aircraft, data) as models:
             data = with_sensors_of(data, aircraft)
-            models, start = (bench.model, bench.direct_model), with_measured_starts(point, data)
+            start = with_measured_starts(point, data)
             try:
                 return gust_refit(
-                    *models, data, start, (), {}, pool, self.turbulence, iterations=2
-                ).gusts
+                    models, data, start, (), {}, pool, self.turbulence, iterations=2
+                ).turbulence
             except np.linalg.LinAlgError:
                 speeds = [float(np.nanmean(c["V_mps"])) for c in data.channels]
                 headings = [mean_heading(c) for c in data.channels]
@@ -516,7 +496,7 @@ class PredictionErrorEstimator(Estimator):
 
     def residuals(
         self,
-        bench: StagedModels,
+        models: StagedModels,
         data: FlightData,
         point: ModelState,
         noise: FloatArray,
@@ -527,15 +507,15 @@ class PredictionErrorEstimator(Estimator):
         Where no filter follows the flights with a model, its outputs at the measured states are
         used.
         """
-        models, start = (bench.model, bench.direct_model), with_measured_starts(point, data)
+        start = with_measured_starts(point, data)
         try:
-            result = gust_refit(*models, data, start, (), {}, pool, self.turbulence, fixed_air=True)
-            step, _ = result.fit.evidence.step()
-            trajectory, rows = result.fit.trajectory, result.fit.evidence.residual(step)
-            filtered = result.fit.evidence.white
+            result = gust_refit(models, data, start, (), {}, pool, self.turbulence, fixed_air=True)
+            step, _ = result.fit.information.step()
+            trajectory, rows = result.fit.trajectory, result.fit.information.residual(step)
+            filtered = result.fit.information.white
             deviations, logdet = [w.deviation for w in filtered], [w.logdet for w in filtered]
         except np.linalg.LinAlgError:
-            trajectory, rows = unfiltered_residuals(*models, data, start, pool, self.turbulence)
+            trajectory, rows = unfiltered_residuals(models, data, start, pool, self.turbulence)
             deviations = [data.noise] * len(rows)
             logdet = [float((np.isfinite(r) * np.log(data.noise)).sum()) for r in rows]
         white = _at_recorded_rows(data, trajectory.point, rows)
@@ -629,7 +609,7 @@ class OutputErrorFit:
 
 def fit_without_effects(
     aircraft: Aircraft,
-    bench: StagedModels,
+    models: StagedModels,
     data: FlightData,
     names: tuple[str, ...],
     limits: Limits,
@@ -640,7 +620,7 @@ def fit_without_effects(
     Parameters that a missing effect drives to a limit keep their value here and are estimated with
     effects; in an autopilot's log they stay fixed.
     """
-    model, direct = bench.model, bench.direct_model
+    model, direct = models.model, models.direct_model
     current = model.current_values(aircraft.dt_s, names)
     bounds = [limits[n] for n in names]
     # Equation error gives a first guess without a replay.
@@ -664,7 +644,7 @@ def fit_without_effects(
     )
     result.replay.forget()
     trajectory = replay_at(model, data, point_of(result, data, names), pool)
-    fit = fit_at(model, direct, data, excited, trajectory, pool)
+    fit = fit_at(models, data, excited, trajectory, pool)
     computed = estimated_channels(data)
     if not computed:
         at_bound = [n for n in excited if n not in determined]
@@ -679,7 +659,7 @@ def fit_without_effects(
     for _ in range(ESTIMATOR_ROUNDS):
         rms = dict(zip(data.outputs, _residual_rms(data, fit.trajectory).tolist(), strict=True))
         data = replace(data, noise=with_estimator_noise(data, rms))
-        fit = refit(model, direct, data, fit.trajectory.point, determined, limits, pool)
+        fit = refit(models, data, fit.trajectory.point, determined, limits, pool)
     levels = ", ".join(f"{c} {data.noise[data.outputs.index(c)]:.2g}" for c in computed)
     note = (
         "computed by the autopilot's estimator, measured by no vane; taken to be as uncertain (one"
@@ -690,21 +670,20 @@ def fit_without_effects(
 
 def fit_in_turbulence(
     aircraft: Aircraft,
-    bench: StagedModels,
+    models: StagedModels,
     data: FlightData,
     replayed: OutputErrorFit,
     limits: Limits,
     pool: Processes,
-) -> ModelFit:
+) -> TurbulentFit:
     """Fit the model without effects and the air by prediction error.
 
     It starts from output error or from the model as it is, whichever is likelier.
     """
     names = replayed.excited
-    current = bench.model.current_values(aircraft.dt_s, names).tolist()
-    result = gust_refit(
-        bench.model,
-        bench.direct_model,
+    current = models.model.current_values(aircraft.dt_s, names).tolist()
+    return gust_refit(
+        models,
         with_card_noise(aircraft, data),
         replayed.fit.trajectory.point,
         names,
@@ -713,7 +692,6 @@ def fit_in_turbulence(
         tune=True,
         initial=dict(zip(names, current, strict=True)),
     )
-    return ModelFit(result.setup, result.fit, result.neg2_log_likelihood, result.gusts)
 
 
 def with_residual_noise(data: FlightData, fit: Linearisation) -> ModelFit:
@@ -730,7 +708,7 @@ def with_residual_noise(data: FlightData, fit: Linearisation) -> ModelFit:
     information = normal_equations(white, fit.columns[0].names, [0] * len(white), PRIOR)
     trajectory = replace(fit.trajectory, cost=cost_of(data, fit.trajectory.outputs))
     return ModelFit(
-        data, replace(fit, trajectory=trajectory, evidence=information), trajectory.cost
+        data, replace(fit, trajectory=trajectory, information=information), trajectory.cost, None
     )
 
 

@@ -20,9 +20,9 @@ from uqharness.identification import coefficient_gaps
 from uqharness.identification.linearised import (
     FlightData,
     ModelState,
-    StagedModels,
     Trajectory,
     output_noise,
+    stage_models,
     with_sensors_of,
 )
 from uqharness.refinement.estimators import Dataset, Estimator, ReplayEstimator, Residuals
@@ -73,7 +73,7 @@ def evaluate(
     turbulence always from measurements.
     """
     data, estimator = dataset.data, dataset.estimator
-    with StagedModels(aircraft, data) as bench:
+    with stage_models(aircraft, data) as models:
         data = with_sensors_of(data, aircraft)
         noise = estimator.evaluation_noise(aircraft, data)
         # Coefficients at the measured states.
@@ -82,8 +82,8 @@ def evaluate(
             _with_smoothed_commands(s, flights[s.flight], data.ideal) for s in data.segments
         ]
         gaps = coefficient_gaps(
-            bench.model,
-            bench.direct_model,
+            models.model,
+            models.direct_model,
             segments,
             data.channels,
             dict(zip(data.outputs, noise.tolist(), strict=True)),
@@ -92,7 +92,7 @@ def evaluate(
             half_way=bool(data.ideal),
         )
         # Channels by replays or predictions.
-        result = estimator.residuals(bench, data, point, noise, pool)
+        result = estimator.residuals(models, data, point, noise, pool)
     return Evaluation(
         **vars(result),
         coefficients=[demanded - modelled for demanded, modelled, _ in gaps],
@@ -108,11 +108,11 @@ def with_replays(
     Their noise and delays are those of `compare`.
     """
     data = dataset.data
-    with StagedModels(aircraft, data) as bench:
+    with stage_models(aircraft, data) as models:
         noise = output_noise(aircraft, data.measured, data.outputs)
         timed = tuple(f.name for f in data.flights if f.name not in data.late)
         data = replace(with_sensors_of(data, aircraft), jumping=(), timed=timed, noise=noise)
-        replays = ReplayEstimator().residuals(bench, data, point, noise, pool)
+        replays = ReplayEstimator().residuals(models, data, point, noise, pool)
     return replace(evaluation, replays=replays)
 
 

@@ -30,13 +30,13 @@ from uqharness.identification.linearised import (
     FlightData,
     Linearisation,
     ModelState,
-    StagedModels,
     Trajectory,
     acts_on_motion,
     effect_columns,
     join_columns,
     one_step_estimates,
     replay_at,
+    stage_models,
     with_jumping_flights,
     with_sensors_of,
 )
@@ -511,10 +511,10 @@ def linearise_as_written(
     stated = {n: v for n, (v, _) in result.parameters.items()}
     values = {**trajectory.point.values, **stated}
     point = replace(trajectory.point, values=values, effects=result.selection.values)
-    with StagedModels(aircraft, data) as bench:
-        data = with_jumping_flights(with_sensors_of(data, aircraft), bench.model)
+    with stage_models(aircraft, data) as models:
+        data = with_jumping_flights(with_sensors_of(data, aircraft), models.model)
         about = replace(trajectory, point=point)
-        return side.estimator.linearise(bench, data, about, result.names, pool)
+        return side.estimator.linearise(models, data, about, result.names, pool)
 
 
 # Models with some of the chosen effects.
@@ -662,9 +662,9 @@ def refit_remaining(
     names = [n for n in chosen.names if n in point.values]
     bounds = {n: c.bounds for n, c in complete.card.parameters.items() if c.bounds is not None}
     withdrawn = effects.keys() - values.keys()
-    with StagedModels(complete, data) as bench:
-        linear = replay_at(bench.model, data, point, pool)
-        fit = fit_output_error(bench.model, data, point, names, bounds, pool, withdrawn)
+    with stage_models(complete, data) as models:
+        linear = replay_at(models.model, data, point, pool)
+        fit = fit_output_error(models.model, data, point, names, bounds, pool, withdrawn)
     if fit is None or fit.cost > linear.cost:
         return model
     remaining = carried_effects(data).keys() & values.keys()

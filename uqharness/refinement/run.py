@@ -25,9 +25,9 @@ from uqharness.heartbeat import Callback, Forecast, forecast_shown, silent
 from uqharness.identification import choose_servos
 from uqharness.identification.linearised import (
     FlightData,
-    StagedModels,
     make_flight_data,
     positions,
+    stage_models,
 )
 from uqharness.parallel import worker_map
 from uqharness.plugin import bake_scales
@@ -241,8 +241,8 @@ def _refine(job: Job, callback: Callback, forecast: Forecast) -> Refinement:
             "intervals", list[Intervals], lambda: list(pool(fit_intervals, jobs))
         )
         # 7. What remains.
-        with StagedModels(request.aircraft, train_side.data) as bench:
-            controls = positions(bench.model, train_side.data)
+        with stage_models(request.aircraft, train_side.data) as staged:
+            controls = positions(staged.model, train_side.data)
         document = document_of(chosen, outcome, request.aircraft, controls)
         smooth, reason = _smooth_term(request, document, outcome, write, pool, callback)
         remaining = document.remaining.model_copy(

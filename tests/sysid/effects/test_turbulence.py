@@ -18,7 +18,7 @@ from sysid.effects.turbulence import (
     V_REFERENCE,
     Score,
     TurbulenceModel,
-    estimate_air,
+    estimate_turbulence,
     gust_strength_mps2,
     process_of,
 )
@@ -101,7 +101,7 @@ def found_in(
     close: TurbulenceModel | None = None,
     headings: Sequence[float] = (0.0,) * 4,
 ) -> TurbulenceModel:
-    return estimate_air(
+    return estimate_turbulence(
         result,
         data,
         range(len(NOISE)),
@@ -126,7 +126,7 @@ def test_intensities_and_what_gusts_do_are_found(rotating, turning):
     np.testing.assert_allclose(np.log(result.values[:4] / INTENSITIES[:4]), 0.0, atol=np.log(1.7))
     assert set(result.by_flight) == {"a", "b"}
     assert result.gain > 1000.0
-    assert result.air
+    assert result.is_turbulent
     repeat = found_in(output, data, result)
     np.testing.assert_allclose(np.log(repeat.values[:4] / result.values[:4]), 0.0, atol=np.log(1.4))
     np.testing.assert_allclose(
@@ -238,7 +238,7 @@ def test_noise_that_is_half_of_what_is_stated_is_found_beside_the_gusts():
     stated = np.where(rate, 2.0, 1.0) * NOISE
 
     def searched(kinds, noise, close=None):
-        return estimate_air(
+        return estimate_turbulence(
             output,
             data,
             range(len(NOISE)),
@@ -289,17 +289,17 @@ def test_a_moment_that_comes_and_goes_is_no_air():
     steady = 1e-6 * INTENSITIES
     wave = found_in(*draw(GustStates(MASS.b), steady, 0.003))
     assert wave.gain > 100.0
-    assert not wave.air
+    assert not wave.is_turbulent
     faint = found_in(*draw(GustStates(MASS.b), 0.01 * INTENSITIES))
     assert faint.gain > 100.0
-    assert faint.air
+    assert faint.is_turbulent
     axial = found_in(
         *draw(
             GustStates(MASS.b), np.where(np.arange(len(INTENSITIES)) == 0, 1.0, 1e-6) * INTENSITIES
         )
     )
     assert axial.gain > 100.0
-    assert not axial.air
+    assert not axial.is_turbulent
 
 
 @pytest.mark.parametrize(
@@ -352,7 +352,7 @@ def test_the_air_of_a_flight_alone_is_the_likeliest_from_wherever_it_is_sought()
     output, data = draw(GustStates(MASS.b, 23.5), INTENSITIES, n=260)
 
     def result(close: turbulence.TurbulenceModel | None) -> turbulence.TurbulenceModel:
-        air, _ = turbulence.estimate_air(
+        air, _ = turbulence.estimate_turbulence(
             output,
             data,
             range(len(NOISE)),

@@ -20,9 +20,9 @@ from uqharness.identification.compare import compare
 from uqharness.identification.identify import identify
 from uqharness.identification.linearised import (
     ModelState,
-    StagedModels,
     make_flight_data,
     observations_of,
+    stage_models,
 )
 from uqharness.identification.replay_fit import Observed, fit_replays, jumping_flights
 from uqharness.refinement.estimators import Dataset, fit_without_effects, note_unestimated
@@ -48,8 +48,8 @@ def flight():
 def refined(aircraft, flight):
     setup = make_flight_data(aircraft, [flight], ())
     limits = {n: aircraft.card.parameters[n].bounds for n in NAMES}
-    with StagedModels(aircraft, setup) as bench:
-        result = fit_without_effects(aircraft, bench, setup, NAMES, limits, SERIAL)
+    with stage_models(aircraft, setup) as models:
+        result = fit_without_effects(aircraft, models, setup, NAMES, limits, SERIAL)
         fit, retained, excited = result.fit, result.names, result.excited
     assert retained == excited == NAMES
     return fit.trajectory.point
@@ -156,8 +156,8 @@ def test_beside_what_goes_back_the_estimate_begins_where_replays_are_nearest(
 def test_what_replays_have_at_a_bound_is_free_beside_effects_and_told(aircraft, flight):
     setup, names = make_flight_data(aircraft, [flight], ()), ("aero/Cm_q", "aero/CX_alpha2")
     limits = {"aero/Cm_q": (-60.0, 0.0), "aero/CX_alpha2": (1.86, 1.9)}
-    with StagedModels(aircraft, setup) as bench:
-        result = fit_without_effects(aircraft, bench, setup, names, limits, SERIAL)
+    with stage_models(aircraft, setup) as models:
+        result = fit_without_effects(aircraft, models, setup, names, limits, SERIAL)
     fit, notes = result.fit, result.notes
     assert result.names == result.excited == names
     assert fit.trajectory.point.values["aero/CX_alpha2"] == 1.86

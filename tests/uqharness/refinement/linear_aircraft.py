@@ -16,13 +16,19 @@ from sysid.effects import Effect, WhitenedSegment, normal_equations
 from sysid.effects.catalogue import coefficient_effect
 from sysid.effects.information import Information
 from sysid.effects.selection import Selection
-from uqharness.identification.linearised import FlightData, Linearisation, ModelState, Trajectory
+from uqharness.identification.linearised import (
+    FlightData,
+    Linearisation,
+    ModelFit,
+    ModelState,
+    Trajectory,
+)
 from uqharness.refinement.candidate_model import (
     CandidateModel,
     SearchContext,
     with_selection,
 )
-from uqharness.refinement.estimators import ModelFit, ReplayEstimator
+from uqharness.refinement.estimators import ReplayEstimator
 
 DT = 0.02
 NOISE = np.array([0.002, 0.005])
@@ -133,7 +139,7 @@ class LinearFlights:
         columns = [_Named(free)]
         fit = Linearisation(trajectory, [], [], columns, information, ())  # type: ignore[arg-type]
         data = FlightData((), (), (), ("alpha_rad", "q_radps"), (), NOISE, (), {})
-        return ModelFit(data, fit, cost), information
+        return ModelFit(data, fit, cost, None), information
 
     def context(self, critical_t: float | None = None) -> tuple[SearchContext, Information]:
         """The search's context, and the information of the model without effects."""

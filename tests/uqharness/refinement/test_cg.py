@@ -20,12 +20,12 @@ from uqharness.errors import BadInputError
 from uqharness.identification.linearised import (
     FlightData,
     ModelState,
-    StagedModels,
     Trajectory,
     effect_columns,
     make_flight_data,
     positions,
     probes,
+    stage_models,
     with_sensors_of,
 )
 from uqharness.identification.linearised import replay_at as replayed
@@ -64,13 +64,13 @@ def along_axis(
 ) -> tuple[Trajectory, list[np.ndarray]]:
     """Replays, and the columns of a centre of gravity further forward along them."""
     effect = {e.key: e for e in subsystem_effects([], [], [])}["effect/mass/cg_x"]
-    with StagedModels(aircraft, replace(setup, positions=())) as bench:
+    with stage_models(aircraft, replace(setup, positions=())) as models:
         point = ModelState(
             values, dict.fromkeys(setup.nuisance, 0.0), tuple(s.start for s in setup.segments)
         )
-        trajectory = replayed(bench.model, setup, point, SERIAL)
+        trajectory = replayed(models.model, setup, point, SERIAL)
         result = probes(
-            bench.direct_model, setup, trajectory, positions(bench.model, setup), SERIAL
+            models.direct_model, setup, trajectory, positions(models.model, setup), SERIAL
         )
         return trajectory, [
             c.outputs[effect.key] for c in effect_columns(setup, result, trajectory, [effect])

@@ -10,6 +10,7 @@ from .flight_data import is_turbulent as is_turbulent
 from .flight_data import jump_share_name as jump_share_name
 from .flight_data import make_flight_data as make_flight_data
 from .flight_data import output_noise as output_noise
+from .flight_data import stage_models as stage_models
 from .flight_data import with_card_noise as with_card_noise
 from .flight_data import with_estimator_noise as with_estimator_noise
 from .flight_data import with_sensors_of as with_sensors_of
@@ -29,6 +30,7 @@ from .linearise import servo_change as servo_change
 from .linearise import surface_change as surface_change
 from .linearise import with_jumping_flights as with_jumping_flights
 from .linearise import with_sensor_errors as with_sensor_errors
+from .prediction_error import TurbulentFit as TurbulentFit
 from .prediction_error import delay_rows as delay_rows
 from .prediction_error import follow_in_free_air as follow_in_free_air
 from .prediction_error import gust_refit as gust_refit
@@ -37,6 +39,7 @@ from .prediction_error import shift_rows as shift_rows
 from .prediction_error import unfiltered_residuals as unfiltered_residuals
 from .replay_fit import PRIOR as PRIOR
 from .replay_fit import Linearisation as Linearisation
+from .replay_fit import ModelFit as ModelFit
 from .replay_fit import apply_step as apply_step
 from .replay_fit import best_replay as best_replay
 from .replay_fit import cost_of as cost_of

@@ -1,14 +1,13 @@
 """Flights, model and replays as the linearised estimators share them.
 
 `FlightData` is fixed for a set of flights, `ModelState` holds all numbers that are estimated, and
-`Trajectory` the replays at one `ModelState`. `StagedModels` keeps JSBSim's folders.
+`Trajectory` the replays at one `ModelState`. `stage_models` keeps JSBSim's folders.
 """
 
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Collection, Mapping, Sequence
-from contextlib import ExitStack
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -26,6 +25,7 @@ from uqharness.replay import (
     UNSEEN,
     Flight,
     ReplayFolder,
+    ReplayModel,
     Segment,
     measured_outputs,
     states,
@@ -297,13 +297,13 @@ def output_noise(
     return np.array([stds[c] for c in outputs])
 
 
-def with_sensors_of(setup: FlightData, aircraft: Aircraft) -> FlightData:
+def with_sensors_of(data: FlightData, aircraft: Aircraft) -> FlightData:
     """Return the data without active effects, with the accelerometers' position of an aircraft.
 
     An effect that moves the centre of gravity changes that position.
     """
-    segments = tuple(replace(s, arm_m=aircraft.accelerometer_m) for s in setup.segments)
-    return replace(setup, segments=segments, active=(), carriers={}, lower_bounds={})
+    segments = tuple(replace(s, arm_m=aircraft.accelerometer_m) for s in data.segments)
+    return replace(data, segments=segments, active=(), carriers={}, lower_bounds={})
 
 
 def servos_of(
@@ -320,62 +320,63 @@ def servos_of(
     return out
 
 
-class StagedModels(ExitStack):
-    """Context of an aircraft's two staged copies: ``model`` with its actuators, and
-    ``direct_model`` without.
+@dataclass(frozen=True)
+class StagedModels:
+    """An aircraft as flights are simulated: ``model`` with its actuators, for replays, and
+    ``direct_model`` without, for loads at given positions of the controls.
     """
 
-    def __init__(self, aircraft: Aircraft, setup: FlightData) -> None:
-        super().__init__()
-        self._folders = [
-            ReplayFolder(aircraft, measured=setup.positions, ideal=ideal)
-            for ideal in (setup.ideal, CONTROLS)
-        ]
-
-    def __enter__(self) -> StagedModels:
-        self.model, self.direct_model = map(self.enter_context, self._folders)
-        return self
+    model: ReplayModel
+    direct_model: ReplayModel
 
 
-def is_turbulent(setup: FlightData, trajectory: Trajectory) -> bool:
+@contextlib.contextmanager
+def stage_models(aircraft: Aircraft, data: FlightData) -> Iterator[StagedModels]:
+    """Stage both copies of an aircraft for some flights; their folders are removed at the end."""
+    with (
+        ReplayFolder(aircraft, measured=data.positions, ideal=data.ideal) as model,
+        ReplayFolder(aircraft, measured=data.positions, ideal=CONTROLS) as direct_model,
+    ):
+        yield StagedModels(model, direct_model)
+
+
+def is_turbulent(data: FlightData, trajectory: Trajectory) -> bool:
     """Return whether a replay's residuals show turbulence.
 
     They do if they are coloured, no function of the motion, and present in quiet flight as well.
     """
     columns = [
-        k for k, c in enumerate(setup.outputs) if c[:2] in ("p_", "q_", "r_", "ax", "ay", "az")
+        k for k, c in enumerate(data.outputs) if c[:2] in ("p_", "q_", "r_", "ax", "ay", "az")
     ]
-    residual = [
-        (z - y)[:, columns] for z, y in zip(setup.measured, trajectory.outputs, strict=True)
-    ]
+    residual = [(z - y)[:, columns] for z, y in zip(data.measured, trajectory.outputs, strict=True)]
     return shows_process_noise(
-        residual, [y[:, columns] for y in trajectory.outputs], setup.noise[columns]
+        residual, [y[:, columns] for y in trajectory.outputs], data.noise[columns]
     )
 
 
-def estimated_channels(setup: FlightData) -> tuple[str, ...]:
+def estimated_channels(data: FlightData) -> tuple[str, ...]:
     """Return the outputs that an autopilot's estimator computed in some flight."""
-    estimates = {c for flight in setup.flights for c in flight.record.metadata.estimates}
-    return tuple(c for c in setup.outputs if c in estimates)
+    estimates = {c for flight in data.flights for c in flight.record.metadata.estimates}
+    return tuple(c for c in data.outputs if c in estimates)
 
 
-def with_estimator_noise(setup: FlightData, residual_rms: Mapping[str, float]) -> FloatArray:
+def with_estimator_noise(data: FlightData, residual_rms: Mapping[str, float]) -> FloatArray:
     """Return the noise (m,) of the outputs, raised to ``residual_rms`` for an estimator's channels.
 
     A card states noise of sensors, not errors of an estimator.
     """
-    guessed = estimated_channels(setup)
-    stated = zip(setup.outputs, setup.noise.tolist(), strict=True)
+    guessed = estimated_channels(data)
+    stated = zip(data.outputs, data.noise.tolist(), strict=True)
     return np.array([max(n, residual_rms.get(c, n)) if c in guessed else n for c, n in stated])
 
 
-def with_card_noise(aircraft: Aircraft, setup: FlightData) -> FlightData:
+def with_card_noise(aircraft: Aircraft, data: FlightData) -> FlightData:
     """Return the data with the noise that the card states.
 
     In gusts the samples of an accelerometer overstate its noise. Channels of an estimator keep
     the noise of their samples.
     """
-    stated, guessed = aircraft.card.sensors.noise_std, estimated_channels(setup)
-    card_noise = zip(setup.outputs, setup.noise.tolist(), strict=True)
+    stated, guessed = aircraft.card.sensors.noise_std, estimated_channels(data)
+    card_noise = zip(data.outputs, data.noise.tolist(), strict=True)
     noise = np.array([n if c in guessed else stated.get(c, n) for c, n in card_noise])
-    return replace(setup, noise=noise)
+    return replace(data, noise=noise)

@@ -502,24 +502,24 @@ LOCAL_SLOPE = "@here"
 
 
 def effect_columns(
-    setup: FlightData, probes: Sequence[Probe], trajectory: Trajectory, effects: Sequence[Effect]
+    data: FlightData, probes: Sequence[Probe], trajectory: Trajectory, effects: Sequence[Effect]
 ) -> LazyColumns:
     """Return the regressors of candidate effects by key, one set per segment, made on demand."""
 
     def make(k: int, names: Collection[str]) -> Columns:
         """Return the columns of some candidates in segment ``k``."""
         return _segment_columns(
-            setup, k, probes[k], trajectory, [e for e in effects if e.key in names]
+            data, k, probes[k], trajectory, [e for e in effects if e.key in names]
         )
 
-    return LazyColumns([e.key for e in effects], make, len(setup.segments))
+    return LazyColumns([e.key for e in effects], make, len(data.segments))
 
 
 def _segment_columns(
-    setup: FlightData, k: int, p: Probe, trajectory: Trajectory, effects: Sequence[Effect]
+    data: FlightData, k: int, p: Probe, trajectory: Trajectory, effects: Sequence[Effect]
 ) -> Columns:
     """Return the regressors of effects in segment ``k``."""
-    segment, y, point = setup.segments[k], trajectory.outputs[k], trajectory.point
+    segment, y, point = data.segments[k], trajectory.outputs[k], trajectory.point
     inputs: dict[str, tuple[int, FloatArray]] = {}
     outputs: dict[str, FloatArray] = {}
     ends: dict[str, FloatArray] = {}
@@ -538,16 +538,16 @@ def _segment_columns(
             )
             continue
         if part == "sensor":
-            outputs[key] = _sensor_column(e, setup, segment, p, y, point)
+            outputs[key] = _sensor_column(e, data, segment, p, y, point)
             continue
         if e.key == "effect/mass/cg_x":
             # The accelerometers do not move with the centre of gravity.
-            outputs[key] = _lever_arm_outputs(p, setup.outputs, np.array([-1.0, 0.0, 0.0]))
-        inputs[key] = _input(e, setup, segment, p, term_variables, point)
+            outputs[key] = _lever_arm_outputs(p, data.outputs, np.array([-1.0, 0.0, 0.0]))
+        inputs[key] = _input(e, data, segment, p, term_variables, point)
         if before is not p and part != "actuator":
             (_, values), (_, other) = (
                 inputs[key],
-                _input(e, setup, segment, before, variables_before, point),
+                _input(e, data, segment, before, variables_before, point),
             )
             if not np.array_equal(values, other):
                 ends[key], seen_values[key] = other, through_jump(values, other, share)
@@ -637,7 +637,7 @@ def vane_shift_slopes(x: FloatArray, gusts: GustStates | None, turn: FloatArray)
 
 def _input(
     e: Effect,
-    setup: FlightData,
+    data: FlightData,
     segment: Segment,
     p: Probe,
     term_variables: Mapping[str, FloatArray],
@@ -655,7 +655,7 @@ def _input(
     if part == "stall":
         lag = p.flow_rate[:, 0] * p.mass.c / p.x[:, 0] if e.term == "dynamic" else 0.0
         # In a model with the effect the written slope counts: the model's slope contains the stall.
-        slope = setup.slopes.get("CZ_alpha", p.reference.slopes[:, 2, 1] / scale[:, 2])
+        slope = data.slopes.get("CZ_alpha", p.reference.slopes[:, 2, 1] / scale[:, 2])
         C[:, 2] = (
             slope
             * term_variables["alpha"]
@@ -681,7 +681,7 @@ def _input(
         else:
             for k, u in ((0, "de"), (2, "dr")):
                 control_slopes = (
-                    _slipstream_slopes(setup.slopes, u) if setup.slopes else p.by_control[:, :, k]
+                    _slipstream_slopes(data.slopes, u) if data.slopes else p.by_control[:, :, k]
                 )
                 C += control_slopes * p.controls[:, [k]] * CT[:, None]
     elif e.term == "cg_x":
@@ -696,11 +696,11 @@ def _input(
         if e.term == "deadband":
             moved = dead_zone_change(
                 p.controls[:, k],
-                setup.zones.get(part_name, _DEADBAND_DEG),
+                data.zones.get(part_name, _DEADBAND_DEG),
                 in_model=e.key in point.effects,
             )
         else:
-            servo, limits = _servo_at(setup, part_name, point)
+            servo, limits = _servo_at(data, part_name, point)
             if e.term.endswith(LOCAL_SLOPE):
                 assert servo is not None
                 limits = servo.rate, NEARBY_SHARE * servo.rate
@@ -712,20 +712,20 @@ def _input(
 
 
 def _sensor_column(
-    e: Effect, setup: FlightData, segment: Segment, p: Probe, y: FloatArray, point: ModelState
+    e: Effect, data: FlightData, segment: Segment, p: Probe, y: FloatArray, point: ModelState
 ) -> FloatArray:
     """Return the change (n, m) of outputs ``y`` (n, m) per unit of a sensor's effect."""
     sensor_name = (e.subsystem or "").partition(".")[2]
     if e.term.startswith("place_"):
         axis = np.eye(3)["xyz".index(e.term[-1])]
         out = (
-            _vane_shift_in_air(p, y, setup.outputs)
+            _vane_shift_in_air(p, y, data.outputs)
             if sensor_name == "vane"
-            else _lever_arm_outputs(p, setup.outputs, axis)
+            else _lever_arm_outputs(p, data.outputs, axis)
         )
-        return np.asarray(out * [sensor_gain(c, point) for c in setup.outputs])
+        return np.asarray(out * [sensor_gain(c, point) for c in data.outputs])
     out = np.zeros_like(y)
-    for k, c in enumerate(setup.outputs):
+    for k, c in enumerate(data.outputs):
         if e.term == "delay" and sensor_name in (c, SENSOR_OF.get(c)):
             out[:, k] = -p.rate_of(c, y[:, k])
         elif e.term != "delay" and c == sensor_name:
@@ -746,12 +746,12 @@ def _vane_shift_in_air(p: Probe, y: FloatArray, outputs: Sequence[str]) -> Float
 
 
 def _servo_at(
-    setup: FlightData, surface: str, point: ModelState
+    data: FlightData, surface: str, point: ModelState
 ) -> tuple[Actuator | None, tuple[float, float] | None]:
     """Return a servo with its effects at a point, and the two rate limits whose difference gives
     the slope of its rate limit.
     """
-    servo, limits = setup.servos.get(surface), setup.limits.get(surface)
+    servo, limits = data.servos.get(surface), data.limits.get(surface)
     if servo is None:
         return None, None
     lag, slowness = (
@@ -906,15 +906,15 @@ def servo_change(
 # Controls between rows: curved paths, and jumps at rows.
 
 
-def with_jumping_flights(setup: FlightData, model: ReplayModel) -> FlightData:
-    """Return the setup with the flights in which a control jumps, whose share of the jump in
+def with_jumping_flights(data: FlightData, model: ReplayModel) -> FlightData:
+    """Return the data with the flights in which a control jumps, whose share of the jump in
     accelerometer readings is estimated.
     """
-    return replace(setup, jumping=tuple(jumping_flights(model, setup.segments, setup.late)))
+    return replace(data, jumping=tuple(jumping_flights(model, data.segments, data.late)))
 
 
 def path_deviations(
-    model: ReplayModel, setup: FlightData, point: ModelState | None = None
+    model: ReplayModel, data: FlightData, point: ModelState | None = None
 ) -> list[FloatArray]:
     """Return the controls' deviations from straight lines between rows, (2, n - 1, c) per segment.
 
@@ -922,9 +922,9 @@ def path_deviations(
     the next row's position: a surface without a lag jumps at the row. Where commands act between
     rows, the middle is such that Simpson's rule gives the path's area.
     """
-    pieces = [segment.at_commands() for segment in setup.segments]
+    pieces = [segment.at_commands() for segment in data.segments]
     is_command = np.array([c not in model.measured for c in model.controls])
-    servos = {} if point is None else setup.properties(point)
+    servos = {} if point is None else data.properties(point)
     ends = surface_positions(model, pieces, CONTROLS, servos)
     halves = (
         surface_positions(model, [_halved(s) for s in pieces], CONTROLS, servos)
@@ -932,7 +932,7 @@ def path_deviations(
         else [None] * len(pieces)
     )
     jumps = np.array([c in model.jumping for c in model.controls])
-    paths = zip(pieces, ends, halves, setup.segments, strict=True)
+    paths = zip(pieces, ends, halves, data.segments, strict=True)
     return [
         _middle(matrices, at, half, is_command, jumps, segment.per_row)
         for matrices, at, half, segment in paths
@@ -975,7 +975,7 @@ def _middle(
 
 def load_deviations(
     direct_model: ReplayModel,
-    setup: FlightData,
+    data: FlightData,
     trajectory: Trajectory,
     linear_probes: Sequence[Probe],
     offsets: Sequence[FloatArray],
@@ -989,7 +989,7 @@ def load_deviations(
     """
     requests = []
     for segment, p, height, (middle, end) in zip(
-        setup.segments, linear_probes, trajectory.height, offsets, strict=True
+        data.segments, linear_probes, trajectory.height, offsets, strict=True
     ):
         x, u, h = (
             np.concatenate([0.5 * (v[:-1] + v[1:]), v[1:]])
@@ -1007,7 +1007,7 @@ def load_deviations(
     out = []
     for p, forced in zip(
         linear_probes,
-        force_all(direct_model, requests, setup.properties(trajectory.point), pool),
+        force_all(direct_model, requests, data.properties(trajectory.point), pool),
         strict=True,
     ):
         load = np.hstack([p.reference.force, p.reference.moment])
@@ -1032,7 +1032,7 @@ def control_jumps(offsets: FloatArray) -> FloatArray | None:
 
 def with_sensor_errors(
     y: FloatArray,
-    setup: FlightData,
+    data: FlightData,
     segment: Segment,
     point: ModelState,
     shifted_rows: Mapping[str, int] | None = None,
@@ -1052,11 +1052,9 @@ def with_sensor_errors(
     """
     forward = vane_offset_m(point)
     if forward:
-        y += forward * vane_shift(y, setup.outputs)
-        between = (
-            None if between is None else between + forward * vane_shift(between, setup.outputs)
-        )
-    for k, c in enumerate(setup.outputs):
+        y += forward * vane_shift(y, data.outputs)
+        between = None if between is None else between + forward * vane_shift(between, data.outputs)
+    for k, c in enumerate(data.outputs):
         late = sensor_delay_s(c, segment, point) - (shifted_rows or {}).get(c, 0) * segment.dt_s
         if late and np.isfinite(y[:, k]).all():
             if behind is not None:

@@ -23,7 +23,7 @@ from sysid.effects import (
     Columns,
     FilteredSegment,
     TurbulenceModel,
-    estimate_air,
+    estimate_turbulence,
     filter_segments,
     fit_colour,
     neg2_log_likelihood,
@@ -35,6 +35,7 @@ from sysid.parallel import SERIAL, Processes
 from uqharness.identification.linearised.flight_data import (
     FlightData,
     ModelState,
+    StagedModels,
     Trajectory,
     control_delay_s,
     jump_share,
@@ -59,6 +60,7 @@ from uqharness.identification.linearised.linearise import (
 from uqharness.identification.linearised.replay_fit import (
     PRIOR,
     Linearisation,
+    ModelFit,
     apply_step,
     parameter_columns,
     positions,
@@ -102,36 +104,25 @@ TOLERANCE, ITERATIONS = 0.2, 10
 
 
 @dataclass(frozen=True)
-class TurbulentFit:
-    """Result of `gust_refit`.
+class TurbulentFit(ModelFit):
+    """A model fitted to flights in turbulence.
 
     Attributes
     ----------
-    fit : Linearisation
-    gusts : TurbulenceModel
-        The estimated air.
-    setup : FlightData
-        With the noise that was estimated.
-    length : float
+    turbulence : TurbulenceModel
+        The air, estimated with the model.
+    step_length : float
         Length of the last step, in standard errors.
     """
 
-    fit: Linearisation
-    gusts: TurbulenceModel
-    setup: FlightData
-    length: float
-
-    @property
-    def neg2_log_likelihood(self) -> float:
-        """Minus twice the log likelihood of the flights."""
-        colour = self.gusts.colour
-        return neg2_log_likelihood(self.fit.evidence.white) + (colour.penalty if colour else 0.0)
+    turbulence: TurbulenceModel
+    step_length: float
 
 
-def measured_states(setup: FlightData, point: ModelState) -> list[FloatArray]:
+def measured_states(data: FlightData, point: ModelState) -> list[FloatArray]:
     """Return the measured states (n, 8) of each segment, smoothed, without the sensors' errors."""
     x = []
-    for segment, channels in zip(setup.segments, setup.channels, strict=True):
+    for segment, channels in zip(data.segments, data.channels, strict=True):
         columns = []
         for name in X_STATES:
             value = without_sensor_errors(
@@ -145,23 +136,22 @@ def measured_states(setup: FlightData, point: ModelState) -> list[FloatArray]:
     return x
 
 
-def delay_rows(setup: FlightData, segment: Segment, point: ModelState) -> dict[str, int]:
+def delay_rows(data: FlightData, segment: Segment, point: ModelState) -> dict[str, int]:
     """Return each channel's delay in whole rows."""
-    return {c: round(sensor_delay_s(c, segment, point) / segment.dt_s) for c in setup.outputs}
+    return {c: round(sensor_delay_s(c, segment, point) / segment.dt_s) for c in data.outputs}
 
 
-def aligned_outputs(setup: FlightData, point: ModelState) -> list[FloatArray]:
+def aligned_outputs(data: FlightData, point: ModelState) -> list[FloatArray]:
     """Return the measured outputs (n, m) of each segment with whole rows of delay removed.
 
     A delayed sample beside current ones contradicts gusts that the filter has followed already,
     which would appear as noise.
     """
     delayed = [
-        (z, delay_rows(setup, s, point))
-        for s, z in zip(setup.segments, setup.measured, strict=True)
+        (z, delay_rows(data, s, point)) for s, z in zip(data.segments, data.measured, strict=True)
     ]
     return [
-        np.column_stack([shift_rows(z[:, k], -late[c]) for k, c in enumerate(setup.outputs)])
+        np.column_stack([shift_rows(z[:, k], -late[c]) for k, c in enumerate(data.outputs)])
         for z, late in delayed
     ]
 
@@ -173,30 +163,30 @@ def shift_rows(values: FloatArray, rows: int) -> FloatArray:
 
 
 def predict(
-    model: ReplayModel,
-    direct_model: ReplayModel,
-    setup: FlightData,
+    models: StagedModels,
+    data: FlightData,
     point: ModelState,
     pool: Processes,
     path: Sequence[FloatArray] | None = None,
 ) -> tuple[Trajectory, list[Probe]]:
     """Probe the model along the measured flight, or along ``path`` ((n, 8) per segment)."""
-    x = measured_states(setup, point) if path is None else list(path)
-    height = [np.array(c["h_m"], dtype=float) for c in setup.channels]
+    x = measured_states(data, point) if path is None else list(path)
+    height = [np.array(c["h_m"], dtype=float) for c in data.channels]
     trajectory = Trajectory(
         point,
-        [np.zeros((len(s.time_s), len(setup.outputs))) for s in setup.segments],
+        [np.zeros((len(s.time_s), len(data.outputs))) for s in data.segments],
         x,
         height,
         float("nan"),
     )
-    shifted, shares = setups_about_delay(model, setup, point)
+    model, direct_model = models.model, models.direct_model
+    shifted, shares = data_about_delay(model, data, point)
     controls = _between([positions(model, acts, point) for acts in shifted], shares)
     offsets = _between([path_deviations(model, acts, point) for acts in shifted], shares)
-    linear_probes = probes(direct_model, setup, trajectory, controls, pool, consistent=False)
+    linear_probes = probes(direct_model, data, trajectory, controls, pool, consistent=False)
     curved = zip(
         linear_probes,
-        load_deviations(direct_model, setup, trajectory, linear_probes, offsets, pool),
+        load_deviations(direct_model, data, trajectory, linear_probes, offsets, pool),
         offsets,
         strict=True,
     )
@@ -206,41 +196,39 @@ def predict(
     ]
 
 
-def setups_about_delay(
-    model: ReplayModel, setup: FlightData, point: ModelState
+def data_about_delay(
+    model: ReplayModel, data: FlightData, point: ModelState
 ) -> tuple[list[FlightData], list[float]]:
-    """Return the setup with the controls' delay at the grid points below and above a point's.
+    """Return the data with the controls' delay at the grid points below and above a point's.
 
     Also returns each segment's share of the way from the lower to the upper one. There is one
-    setup alone if all delays lie on the grid. With the nearest grid point alone, estimates half-way
+    set alone if all delays lie on the grid. With the nearest grid point alone, estimates half-way
     between two points would alternate without end.
     """
     places = {
-        s.flight: control_delay_s(point, s.flight) / s.dt_s / DELAY_GRID for s in setup.segments
+        s.flight: control_delay_s(point, s.flight) / s.dt_s / DELAY_GRID for s in data.segments
     }
     before = {flight: float(np.floor(place)) for flight, place in places.items()}
-    shares = [places[s.flight] - before[s.flight] for s in setup.segments]
+    shares = [places[s.flight] - before[s.flight] for s in data.segments]
     return [
-        _with_delays(model, setup, before, extra)
-        for extra in (0.0, 1.0)
-        if not extra or any(shares)
+        _with_delays(model, data, before, extra) for extra in (0.0, 1.0) if not extra or any(shares)
     ], shares
 
 
 def _with_delays(
-    model: ReplayModel, setup: FlightData, places: Mapping[str, float], offset: float
+    model: ReplayModel, data: FlightData, places: Mapping[str, float], offset: float
 ) -> FlightData:
-    """Return the setup with each flight's commands delayed by multiples of PLACES rows."""
+    """Return the data with each flight's commands delayed by multiples of PLACES rows."""
     if not offset and not any(places.values()):
-        return setup
+        return data
     pieces: list[Segment] = []
-    for f in setup.flights:
+    for f in data.flights:
         delay_s = (places.get(f.name, 0.0) + offset) * DELAY_GRID * f.record.dt_s
-        recorded = setup.segments[len(pieces) : len(pieces) + len(f.pieces)]
+        recorded = data.segments[len(pieces) : len(pieces) + len(f.pieces)]
         pieces += with_controls_of(
             recorded, f.with_delayed_commands(delay_s), tuple(model.measured)
         )
-    return replace(setup, segments=tuple(pieces))
+    return replace(data, segments=tuple(pieces))
 
 
 def _between(ends: Sequence[Sequence[FloatArray]], shares: Sequence[float]) -> list[FloatArray]:
@@ -250,14 +238,13 @@ def _between(ends: Sequence[Sequence[FloatArray]], shares: Sequence[float]) -> l
 
 
 def gust_refit(
-    model: ReplayModel,
-    direct_model: ReplayModel,
-    setup: FlightData,
+    models: StagedModels,
+    data: FlightData,
     start: ModelState,
     names: Sequence[str],
     limits: Mapping[str, tuple[float, float]],
     pool: Processes,
-    prior_model: TurbulenceModel | None = None,
+    initial_turbulence: TurbulenceModel | None = None,
     iterations: int = ITERATIONS,
     tune: bool = False,
     fixed_air: bool = False,
@@ -277,13 +264,13 @@ def gust_refit(
         Estimated properties and active effects.
     limits : mapping
         Limits of properties.
-    prior_model : TurbulenceModel, optional
+    initial_turbulence : TurbulenceModel, optional
         First values of the air.
     tune : bool
         Estimate the sensors' noise as well. It has no effect on an autopilot's log, whose
         attitudes are filtered.
     fixed_air : bool
-        Keep ``prior_model``.
+        Keep ``initial_turbulence``.
     initial : mapping, optional
         Values of the model before any fit: a second start where the air is unknown.
     callback : callable, optional
@@ -294,13 +281,13 @@ def gust_refit(
     numpy.linalg.LinAlgError
         If predictions are not finite.
     """
-    data = with_jumping_flights(setup, model)
+    data = with_jumping_flights(data, models.model)
     tune = tune and not data.late
-    at = _Iterate(data, start, prior_model)
-    if prior_model is None:
+    at = _Iterate(data, start, initial_turbulence)
+    if initial_turbulence is None:
         starts = _starts(data, start, initial)
         if len(starts) > 1:
-            at = likeliest_start(model, direct_model, data, starts, pool, tune=tune)
+            at = likeliest_start(models, data, starts, pool, tune=tune)
     for number in range(1, iterations + 1):
         # Far from the estimate, what parameters will explain would be taken for gusts.
         is_near = at.length < AIR_SEARCH_LENGTH or number == AIR_SEARCH_ITERATION
@@ -309,8 +296,7 @@ def gust_refit(
             at.lacks_air or (is_near and at.distance_since_air > SIGNIFICANT_Z)
         )
         result, step = _evaluate(
-            model,
-            direct_model,
+            models,
             at,
             names,
             pool,
@@ -326,18 +312,20 @@ def gust_refit(
         if not np.isfinite(step).all():
             raise np.linalg.LinAlgError("predictions with this model are no numbers")
         if callback is not None:
-            callback(number, result.length)
+            callback(number, result.step_length)
         # The air is up to date if it was estimated about predictions, this close to here.
         is_air_settled = fixed_air or (has_new_air and is_prediction)
         distance = 0.0 if is_air_settled else at.distance_since_air
-        is_converged = is_prediction and result.length < TOLERANCE and distance <= SIGNIFICANT_Z
-        if is_converged or not result.gusts.air:
+        is_converged = (
+            is_prediction and result.step_length < TOLERANCE and distance <= SIGNIFICANT_Z
+        )
+        if is_converged or not result.turbulence.is_turbulent:
             break
         # Steps in different air are not comparable.
         share = (
             1.0
             if has_new_air or at.step is None
-            else step_share(at.share, at.step, step, result.fit.evidence.total[0])
+            else step_share(at.share, at.step, step, result.fit.information.total[0])
         )
         at = _advance(at, result, step, share, distance, limits)
     return result
@@ -352,7 +340,7 @@ class _Iterate:
     data : FlightData
         With the sensor noise that was estimated.
     point : ModelState
-    gusts : TurbulenceModel or None
+    turbulence : TurbulenceModel or None
         The air; None before it is first estimated.
     path : list of (n, 8) array or None
         Predicted states about which the model is linearised; None for the measured ones.
@@ -370,7 +358,7 @@ class _Iterate:
 
     data: FlightData
     point: ModelState
-    gusts: TurbulenceModel | None
+    turbulence: TurbulenceModel | None
     path: list[FloatArray] | None = None
     analytic: tuple[str, ...] | None = None
     step: FloatArray | None = None
@@ -383,12 +371,11 @@ class _Iterate:
     def lacks_air(self) -> bool:
         """Whether the air of some flight has not been estimated."""
         flights = {s.flight for s in self.data.segments}
-        return self.gusts is None or not flights <= self.gusts.by_flight.keys()
+        return self.turbulence is None or not flights <= self.turbulence.by_flight.keys()
 
 
 def _evaluate(
-    model: ReplayModel,
-    direct_model: ReplayModel,
+    models: StagedModels,
     at: _Iterate,
     names: Sequence[str],
     pool: Processes,
@@ -405,35 +392,31 @@ def _evaluate(
     colour of the innovations that the air has.
     """
     # 1. Linear systems along the path.
-    trajectory, reference_probes = at.predicted or predict(
-        model, direct_model, at.data, at.point, pool, at.path
-    )
+    trajectory, reference_probes = at.predicted or predict(models, at.data, at.point, pool, at.path)
     systems = _LinearSystems(at.data, trajectory, reference_probes, pool)
     # 2. Air and sensor noise.
-    gusts, data = at.gusts, at.data
+    turbulence, data = at.turbulence, at.data
     if estimates_air:
-        gusts, factors = _estimate_air(at.data, systems, at.gusts, tune)
+        turbulence, factors = _estimate_turbulence(at.data, systems, at.turbulence, tune)
         data = replace(at.data, noise=factors * at.data.noise)
-    assert gusts is not None
+    assert turbulence is not None
     # 3. Innovations.
-    steps = systems.all(gusts.states)
-    followed = (
-        _with_free_air(systems, steps, gusts, data.noise)
-        if free_air
-        else [
-            *filter_segments(steps, systems.measured, data.output_rows, data.noise, gusts.process)
-        ]
-    )
+    steps = systems.all(turbulence.states)
+    if free_air:
+        followed = _with_free_air(systems, steps, turbulence, data.noise)
+    else:
+        rows, process = data.output_rows, turbulence.process
+        followed = [*filter_segments(steps, systems.measured, rows, data.noise, process)]
     # Free the systems of other airs before the columns, which take the most memory.
     del systems
     # 4. Columns at the predicted states. Smoothed measurements contain later samples: linearised
     # about them, the airspeed sensor appears half a percent high.
     prediction, predicted_probes = at_predictions(
-        data, trajectory, reference_probes, steps, followed, gusts
+        data, trajectory, reference_probes, steps, followed, turbulence
     )
     active = {e.key for e in data.active}
     sloped_probes, analytic = with_property_slopes(
-        direct_model,
+        models.direct_model,
         data.segments,
         predicted_probes,
         [n for n in names if n not in active],
@@ -443,21 +426,23 @@ def _evaluate(
     )
     columns = parameter_columns(data, sloped_probes, prediction, names, analytic)
     # 5. Colour of the innovations, normal equations and step.
-    colour, evidence = fit_colour(
-        followed, columns, PRIOR, gusts.colour if keeps_colour else None, fixed=fixed_colour
+    colour, information = fit_colour(
+        followed, columns, PRIOR, turbulence.colour if keeps_colour else None, fixed=fixed_colour
     )
-    step, length = step_from(data, at.point, evidence)
-    cost = float(sum(np.sum(w.residual**2) for w in evidence.white))
+    step, length = step_from(data, at.point, information)
+    cost = float(sum(np.sum(w.residual**2) for w in information.white))
     fit = Linearisation(
         replace(prediction, cost=cost),
         sloped_probes,
         steps,
         columns,
-        evidence,
+        information,
         analytic,
         followed if free_air else None,
     )
-    return TurbulentFit(fit, replace(gusts, colour=colour), data, length), step
+    turbulence = replace(turbulence, colour=colour)
+    neg2_log = neg2_log_likelihood(information.white) + (colour.penalty if colour else 0.0)
+    return TurbulentFit(data, fit, neg2_log, turbulence, length), step
 
 
 def _advance(
@@ -473,18 +458,18 @@ def _advance(
     """
     names = result.fit.columns[0].names
     moves = dict(zip(names, (share * step).tolist(), strict=True))
-    point = apply_step(result.setup, at.point, moves, limits)
+    point = apply_step(result.data, at.point, moves, limits)
     path = [p.body for p in result.fit.probes]
     return _Iterate(
-        result.setup,
+        result.data,
         point,
-        result.gusts,
-        with_equal_readings(result.setup, path, at.point, point),
+        result.turbulence,
+        with_equal_readings(result.data, path, at.point, point),
         result.fit.analytic,
         step,
         share,
-        result.length,
-        distance + share * result.length,
+        result.step_length,
+        distance + share * result.step_length,
     )
 
 
@@ -511,7 +496,7 @@ def step_share(
 
 
 def with_equal_readings(
-    setup: FlightData, path: Sequence[FloatArray], before: ModelState, after: ModelState
+    data: FlightData, path: Sequence[FloatArray], before: ModelState, after: ModelState
 ) -> list[FloatArray]:
     """Return states (n, 8) whose readings by the sensors ``after`` equal those of ``path`` by the
     sensors ``before``, since a filter follows the readings.
@@ -528,31 +513,29 @@ def with_equal_readings(
                 for k, c in enumerate(X_STATES)
             ]
         )
-        for segment, x in zip(setup.segments, path, strict=True)
+        for segment, x in zip(data.segments, path, strict=True)
     ]
 
 
 def unfiltered_residuals(
-    model: ReplayModel,
-    direct_model: ReplayModel,
-    setup: FlightData,
+    models: StagedModels,
+    data: FlightData,
     point: ModelState,
     pool: Processes,
-    gusts: TurbulenceModel,
+    turbulence: TurbulenceModel,
 ) -> tuple[Trajectory, list[FloatArray]]:
     """Return the measured flight and its residuals without a filter, in units of the noise.
 
     Residuals are measured outputs minus the model's at the measured states, (n, m) per segment.
     """
-    trajectory, linear_probes = predict(model, direct_model, setup, point, pool)
-    steps = _LinearSystems(setup, trajectory, linear_probes, pool)
-    pairs = zip(steps.measured, steps.all(gusts.states), strict=True)
-    return trajectory, [(z - s.y_ref[:, setup.output_rows]) / setup.noise for z, s in pairs]
+    trajectory, linear_probes = predict(models, data, point, pool)
+    steps = _LinearSystems(data, trajectory, linear_probes, pool)
+    pairs = zip(steps.measured, steps.all(turbulence.states), strict=True)
+    return trajectory, [(z - s.y_ref[:, data.output_rows]) / data.noise for z, s in pairs]
 
 
 def likeliest_start(
-    model: ReplayModel,
-    direct_model: ReplayModel,
+    models: StagedModels,
     data: FlightData,
     starts: Sequence[ModelState],
     pool: Processes,
@@ -568,17 +551,17 @@ def likeliest_start(
     """
     trials: list[tuple[float, _Iterate]] = []
     for point in starts:
-        predicted = predict(model, direct_model, data, point, pool)
+        predicted = predict(models, data, point, pool)
         systems = _LinearSystems(data, *predicted, pool)
         try:
-            gusts, factors = _estimate_air(data, systems, None, tune)
+            turbulence, factors = _estimate_turbulence(data, systems, None, tune)
             tuned = replace(data, noise=factors * data.noise)
             followed = filter_segments(
-                systems.all(gusts.states),
+                systems.all(turbulence.states),
                 systems.measured,
                 tuned.output_rows,
                 tuned.noise,
-                gusts.process,
+                turbulence.process,
             )
         except np.linalg.LinAlgError:
             continue
@@ -586,7 +569,7 @@ def likeliest_start(
             whiten_filtered(followed, [Columns((), {}, {})] * len(data.segments))
         )
         if np.isfinite(cost):
-            trials.append((cost, _Iterate(tuned, point, gusts, predicted=predicted)))
+            trials.append((cost, _Iterate(tuned, point, turbulence, predicted=predicted)))
     if not trials:
         raise np.linalg.LinAlgError("predictions from every start are no numbers")
     return min(trials, key=lambda trial: trial[0])[1]
@@ -622,10 +605,10 @@ class _LinearSystems:
     """
 
     def __init__(
-        self, setup: FlightData, trajectory: Trajectory, probes: Sequence[Probe], pool: Processes
+        self, data: FlightData, trajectory: Trajectory, probes: Sequence[Probe], pool: Processes
     ) -> None:
-        self.setup, self.trajectory, self.probes, self.pool = setup, trajectory, probes, pool
-        self.measured = aligned_outputs(setup, trajectory.point)
+        self.data, self.trajectory, self.probes, self.pool = data, trajectory, probes, pool
+        self.measured = aligned_outputs(data, trajectory.point)
         self.slopes = slopes_of(probes, pool)
         self.systems: OrderedDict[tuple[int, GustStates], Steps] = OrderedDict()
 
@@ -635,26 +618,26 @@ class _LinearSystems:
         systems = steps_of(
             [self.slopes[k] for k, _ in missing],
             [air for _, air in missing],
-            self.setup,
+            self.data,
             point,
             self.pool,
         )
         for (k, active), s in zip(missing, systems, strict=True):
-            which, segment = self.setup.output_rows, self.setup.segments[k]
-            share, rows = jump_share(point, segment.flight), delay_rows(self.setup, segment, point)
+            which, segment = self.data.output_rows, self.data.segments[k]
+            share, rows = jump_share(point, segment.flight), delay_rows(self.data, segment, point)
             # Outputs are those at the reference, biases added.
             y = s.y_ref[:, which] - share * accelerometer_outputs(
-                self.probes[k].felt_jump(0.5 * share), self.setup.outputs
+                self.probes[k].felt_jump(0.5 * share), self.data.outputs
             )
             part = [
                 sensor_delay_s(c, segment, point) / segment.dt_s - rows[c]
-                for c in self.setup.outputs
+                for c in self.data.outputs
             ]
             behind = (
                 self._behind(self.probes[k], s, y, active, np.array(part)) if any(part) else None
             )
             s.y_ref[:, which] = with_sensor_errors(
-                y, self.setup, segment, point, rows, behind=behind
+                y, self.data, segment, point, rows, behind=behind
             )
             self.systems[k, active] = (
                 replace(s, H=output_matrix_between_rows(s, which, part)) if any(part) else s
@@ -677,8 +660,8 @@ class _LinearSystems:
         Controls add what the states do not explain.
         """
         point = self.trajectory.point
-        gain = np.array([sensor_gain(c, point) for c in self.setup.outputs])
-        H = steps.H[:, self.setup.output_rows] / gain[:, None]
+        gain = np.array([sensor_gain(c, point) for c in self.data.outputs])
+        H = steps.H[:, self.data.output_rows] / gain[:, None]
         x = with_gust_states(p.reference.x, states, p.reference.turn)
         first = rates(p.reference, p.mass, x, gusts=states) * steps.dt_s
         curvature = steps.defect + np.diff(x, axis=0) - first[:-1]
@@ -689,7 +672,7 @@ class _LinearSystems:
             np.concatenate([none, curvature]),
         )
         start_rate, bent_behind = first, np.concatenate([curvature, none])
-        sensed = y + vane_offset_m(point) * vane_shift(y, self.setup.outputs)
+        sensed = y + vane_offset_m(point) * vane_shift(y, self.data.outputs)
         by_controls = np.diff(sensed, axis=0) - np.einsum("nij,nj->ni", H[1:], np.diff(x, axis=0))
         out = late * np.concatenate([by_controls[:1], by_controls])
         for k, part in enumerate(late):
@@ -723,29 +706,29 @@ def output_matrix_between_rows(
 
 
 def follow_in_free_air(
-    setup: FlightData, fit: Linearisation, gusts: TurbulenceModel
+    data: FlightData, fit: Linearisation, turbulence: TurbulenceModel
 ) -> list[FilteredSegment]:
     """Filter the segments of a fit, the air free in each beside the columns."""
     if fit.followed is not None:
         return fit.followed
-    linear = _LinearSystems(setup, fit.trajectory, fit.probes, SERIAL)
-    return _with_free_air(linear, fit.steps, gusts, setup.noise)
+    linear = _LinearSystems(data, fit.trajectory, fit.probes, SERIAL)
+    return _with_free_air(linear, fit.steps, turbulence, data.noise)
 
 
 def _with_free_air(
-    linear: _LinearSystems, steps: Sequence[Steps], gusts: TurbulenceModel, noise: FloatArray
+    linear: _LinearSystems, steps: Sequence[Steps], turbulence: TurbulenceModel, noise: FloatArray
 ) -> list[FilteredSegment]:
     """Filter segments; columns are projected on what no other noise of a state, no other length of
     the air's roll, pitch and yaw, and no other azimuth of its axes would do.
     """
-    rows, process = linear.setup.output_rows, gusts.process
+    rows, process = linear.data.output_rows, turbulence.process
     airs = []
     names = ["p_length", "q_length", "r_length"]
-    names += ["azimuth_rad"] if gusts.states[0].in_earth else []
+    names += ["azimuth_rad"] if turbulence.states[0].in_earth else []
     for name in names:
         nearby = [
             s._replace(**{name: value + NEARBY * (1.0 if name == "azimuth_rad" else value)})
-            for s, value in ((s, getattr(s, name)) for s in gusts.states)
+            for s, value in ((s, getattr(s, name)) for s in turbulence.states)
         ]
         pairs = zip(linear.all(nearby), linear.measured, strict=True)
         airs.append([MeasuredSystem.of(s, z, rows) for s, z in pairs])
@@ -758,36 +741,36 @@ def mean_heading(channels: Mapping[str, FloatArray]) -> float:
     return float(np.unwrap(channels["psi_rad"]).mean())
 
 
-def _estimate_air(
-    setup: FlightData, steps: _LinearSystems, prior_model: TurbulenceModel | None, tune: bool
+def _estimate_turbulence(
+    data: FlightData, steps: _LinearSystems, initial_turbulence: TurbulenceModel | None, tune: bool
 ) -> tuple[TurbulenceModel, FloatArray]:
     """Return the likeliest air, and factors (m,) on the sensors' noise (1 unless ``tune``)."""
     speeds = [float(x[:, 0].mean()) for x in steps.trajectory.x]
-    of = [s.flight for s in setup.segments]
+    of = [s.flight for s in data.segments]
     states = GustStates(steps.probes[0].mass.b)
-    kinds = [_KINDS.get(c.split("_")[0], c) for c in setup.outputs] if tune else ()
-    return estimate_air(
+    kinds = [_KINDS.get(c.split("_")[0], c) for c in data.outputs] if tune else ()
+    return estimate_turbulence(
         steps,
         steps.measured,
-        setup.output_rows,
-        setup.noise,
+        data.output_rows,
+        data.noise,
         speeds,
         of,
         states,
-        prior_model,
+        initial_turbulence,
         steps.pool,
         kinds,
-        [mean_heading(c) for c in setup.channels],
+        [mean_heading(c) for c in data.channels],
     )
 
 
 def at_predictions(
-    setup: FlightData,
+    data: FlightData,
     trajectory: Trajectory,
     linear_probes: Sequence[Probe],
     steps: Sequence[Steps],
     followed: Sequence[FilteredSegment],
-    gusts: TurbulenceModel,
+    turbulence: TurbulenceModel,
 ) -> tuple[Trajectory, list[Probe]]:
     """Return probes whose terms are evaluated at the filter's predicted states, and the outputs
     there.
@@ -800,7 +783,7 @@ def at_predictions(
         linear_probes,
         steps,
         (one.innovations_only.path for one in followed),
-        gusts.states,
+        turbulence.states,
         strict=True,
     ):
         x = with_gust_states(p.reference.x, states, p.reference.turn) + d
@@ -822,7 +805,7 @@ def at_predictions(
             )
         )
         outputs.append(
-            s.y_ref[:, setup.output_rows] + np.einsum("nij,nj->ni", s.H[:, setup.output_rows], d)
+            s.y_ref[:, data.output_rows] + np.einsum("nij,nj->ni", s.H[:, data.output_rows], d)
         )
     return replace(trajectory, outputs=outputs), out
 

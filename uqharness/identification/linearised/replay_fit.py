@@ -23,6 +23,7 @@ from sysid.effects import (
     FilteredSegment,
     Information,
     LazyColumns,
+    TurbulenceModel,
     WhitenedSegment,
     column_names,
     corrected_estimates,
@@ -33,6 +34,7 @@ from sysid.parallel import SERIAL, Processes
 from uqharness.identification.linearised.flight_data import (
     FlightData,
     ModelState,
+    StagedModels,
     Trajectory,
     acts_on_motion,
     control_delay_s,
@@ -79,17 +81,17 @@ from uqharness.replay import (
 
 
 def replay_at(
-    model: ReplayModel, setup: FlightData, point: ModelState, pool: Processes
+    model: ReplayModel, data: FlightData, point: ModelState, pool: Processes
 ) -> Trajectory:
     """Replay every segment at a point; the cost is infinite where a replay diverges."""
     pieces = []
-    for s, start in zip(setup.segments, point.starts, strict=True):
-        on_time = [c for c in setup.outputs if not sensor_delay_s(c, s, point)]
-        between, unseen_ = len(on_time) < len(setup.outputs), jump_share(point, s.flight)
+    for s, start in zip(data.segments, point.starts, strict=True):
+        on_time = [c for c in data.outputs if not sensor_delay_s(c, s, point)]
+        between, unseen_ = len(on_time) < len(data.outputs), jump_share(point, s.flight)
         job = ReplayJob(
             model,
             at_sensor_position(s, point),
-            setup.properties(point),
+            data.properties(point),
             start,
             control_delay_s(point, s.flight),
             between,
@@ -97,51 +99,51 @@ def replay_at(
         )
         pieces.append(split_job(job, on_time))
     flights = iter(fly_all([piece for of in pieces for piece in of], pool))
-    columns = [CHANNELS.index(c) for c in setup.outputs]
+    columns = [CHANNELS.index(c) for c in data.outputs]
     raw, outputs = [], []
-    for of, s in zip(pieces, setup.segments, strict=True):
+    for of, s in zip(pieces, data.segments, strict=True):
         fine, *rows = (next(flights) for _ in of)
         raw.append(rows[0] if rows else at_rows(fine, len(s.time_s)))
         outputs.append(
-            with_sensor_errors(raw[-1][:, columns], setup, s, point, between=fine[:, columns])
+            with_sensor_errors(raw[-1][:, columns], data, s, point, between=fine[:, columns])
         )
     x = [r[:, [CHANNELS.index(c) for c in X_STATES]] for r in raw]
     return Trajectory(
-        point, outputs, x, [r[:, CHANNELS.index("h_m")] for r in raw], cost_of(setup, outputs)
+        point, outputs, x, [r[:, CHANNELS.index("h_m")] for r in raw], cost_of(data, outputs)
     )
 
 
-def cost_of(setup: FlightData, outputs: Sequence[FloatArray]) -> float:
+def cost_of(data: FlightData, outputs: Sequence[FloatArray]) -> float:
     """Return the sum of squared residuals of outputs, (n, m) per segment, over their noise.
 
     It is infinite where an output is not finite.
     """
     cost = 0.0
-    for z, y in zip(setup.measured, outputs, strict=True):
-        e = np.where(np.isfinite(z), (z - y) / setup.noise, 0.0)
+    for z, y in zip(data.measured, outputs, strict=True):
+        e = np.where(np.isfinite(z), (z - y) / data.noise, 0.0)
         cost += float(np.sum(e**2)) if np.isfinite(e).all() else math.inf
     return cost
 
 
 def best_replay(
-    model: ReplayModel, setup: FlightData, points: Sequence[ModelState], pool: Processes
+    model: ReplayModel, data: FlightData, points: Sequence[ModelState], pool: Processes
 ) -> Trajectory:
     """Return the replay of least cost among points."""
-    return min((replay_at(model, setup, p, pool) for p in points), key=lambda f: f.cost)
+    return min((replay_at(model, data, p, pool) for p in points), key=lambda f: f.cost)
 
 
 def positions(
-    model: ReplayModel, setup: FlightData, point: ModelState | None = None
+    model: ReplayModel, data: FlightData, point: ModelState | None = None
 ) -> list[FloatArray]:
     """Return the positions (n, c) of the controls in every segment, with the servos of a point."""
     return surface_positions(
-        model, setup.segments, CONTROLS, {} if point is None else setup.properties(point)
+        model, data.segments, CONTROLS, {} if point is None else data.properties(point)
     )
 
 
 def probes(
     direct_model: ReplayModel,
-    setup: FlightData,
+    data: FlightData,
     trajectory: Trajectory,
     controls: Sequence[FloatArray],
     pool: Processes,
@@ -154,13 +156,11 @@ def probes(
             at_sensor_position(s, trajectory.point),
             x,
             u,
-            setup.properties(trajectory.point),
+            data.properties(trajectory.point),
             consistent,
             h,
         )
-        for s, x, u, h in zip(
-            setup.segments, trajectory.x, controls, trajectory.height, strict=True
-        )
+        for s, x, u, h in zip(data.segments, trajectory.x, controls, trajectory.height, strict=True)
     ]
     return probe_all(jobs, pool)
 
@@ -178,7 +178,7 @@ def _rigid_slopes(job: tuple[Reference, MassProperties]) -> RigidSlopes:
 def steps_of(
     slopes: Sequence[RigidSlopes],
     air: Sequence[GustStates | None],
-    setup: FlightData,
+    data: FlightData,
     point: ModelState,
     pool: Processes = SERIAL,
 ) -> list[Steps]:
@@ -187,7 +187,7 @@ def steps_of(
     ``air`` states for each segment how gusts act; None in calm air.
     """
     gain, forward = np.ones((len(STEP_OUTPUTS), 1)), vane_offset_m(point)
-    gain[setup.output_rows, 0] = [sensor_gain(c, point) for c in setup.outputs]
+    gain[data.output_rows, 0] = [sensor_gain(c, point) for c in data.outputs]
     systems = list(pool(_with_gusts, [*zip(slopes, air, strict=True)]))
     if forward:
         systems = [
@@ -206,7 +206,7 @@ def _with_gusts(job: tuple[RigidSlopes, GustStates | None]) -> Steps:
 
 
 def parameter_columns(
-    setup: FlightData,
+    data: FlightData,
     linear_probes: Sequence[Probe],
     trajectory: Trajectory,
     names: Sequence[str],
@@ -216,12 +216,12 @@ def parameter_columns(
     segment.
     """
     out = []
-    active = [e for e in setup.active if e.key in names]
+    active = [e for e in data.active if e.key in names]
     properties = [n for n in names if n not in {e.key for e in active}]
-    gain = [sensor_gain(c, trajectory.point) for c in setup.outputs]
-    effect_regressors = effect_columns(setup, linear_probes, trajectory, active)
+    gain = [sensor_gain(c, trajectory.point) for c in data.outputs]
+    effect_regressors = effect_columns(data, linear_probes, trajectory, active)
     for segment, p, y, effects in zip(
-        setup.segments, linear_probes, trajectory.outputs, effect_regressors, strict=True
+        data.segments, linear_probes, trajectory.outputs, effect_regressors, strict=True
     ):
         # At a jump of a surface a row has loads before and after it, and accelerometer readings
         # that lack a share of it.
@@ -243,7 +243,7 @@ def parameter_columns(
                 ends[name] = term_column(name, variables_before)[1]
                 seen_values[name] = through_jump(inputs[name][1], ends[name], share)
         # Nuisance of this flight: the controls' delay, jump shares, biases and delays of sensors.
-        for name in setup.nuisance:
+        for name in data.nuisance:
             kind, flight, *channels = name.split("/")
             if flight != segment.flight:
                 continue
@@ -254,15 +254,15 @@ def parameter_columns(
                 continue
             outputs[name] = block = np.zeros_like(y)
             if kind == UNSEEN:
-                block -= accelerometer_outputs(p.felt_jump(share), setup.outputs) * gain
-            for k, c in enumerate(setup.outputs):
+                block -= accelerometer_outputs(p.felt_jump(share), data.outputs) * gain
+            for k, c in enumerate(data.outputs):
                 if kind == "bias" and [c] == channels:
                     block[:, k] = 1.0
                 elif kind == "delay" and [SENSOR_OF.get(c, c)] == channels:
                     block[:, k] = -delayed_rate(
                         p, c, y[:, k], sensor_delay_s(c, segment, trajectory.point)
                     )
-        out.append(Columns((*names, *setup.nuisance), inputs, outputs, ends, seen_values))
+        out.append(Columns((*names, *data.nuisance), inputs, outputs, ends, seen_values))
     return out
 
 
@@ -299,12 +299,12 @@ class Linearisation:
         Linear systems.
     columns : list of Columns
         Regressors of parameters, active effects and nuisance.
-    evidence : Information
+    information : Information
         Normal equations of the columns.
     analytic : tuple of str
         Parameters whose regressor is the coefficient term of their name.
     followed : list of FilteredSegment or None
-        The segments filtered in turbulence with the air free, of which ``evidence`` was made;
+        The segments filtered in turbulence with the air free, of which ``information`` was made;
         None if they are to be filtered again.
     """
 
@@ -312,9 +312,30 @@ class Linearisation:
     probes: list[Probe]
     steps: list[Steps]
     columns: list[Columns]
-    evidence: Information
+    information: Information
     analytic: tuple[str, ...]
     followed: list[FilteredSegment] | None = field(default=None, metadata={"stored": False})
+
+
+@dataclass(frozen=True)
+class ModelFit:
+    """A model fitted to flights.
+
+    Attributes
+    ----------
+    data : FlightData
+        The flights, with the sensor noise of the fit.
+    fit : Linearisation
+    neg2_log_likelihood : float
+        Minus twice the log likelihood, up to a constant.
+    turbulence : TurbulenceModel or None
+        The air, estimated with the model; None if calm.
+    """
+
+    data: FlightData
+    fit: Linearisation
+    neg2_log_likelihood: float
+    turbulence: TurbulenceModel | None
 
 
 PRIOR = {"bias": 0.1, "delay": 0.1, "lateness": 0.005, UNSEEN: 1.0}
@@ -328,9 +349,8 @@ _STEP_SHARES = tuple(0.35**k for k in range(5))
 
 
 def refit(
-    model: ReplayModel,
-    direct_model: ReplayModel,
-    setup: FlightData,
+    models: StagedModels,
+    data: FlightData,
     start: ModelState,
     names: Sequence[str],
     limits: Mapping[str, tuple[float, float]],
@@ -340,22 +360,22 @@ def refit(
 
     Raises LinAlgError if the replays from ``start`` diverge.
     """
-    trajectory, analytic = replay_at(model, setup, start, pool), None
+    trajectory, analytic = replay_at(models.model, data, start, pool), None
     if not math.isfinite(trajectory.cost):
         raise np.linalg.LinAlgError("replays with this model are no numbers")
     for _ in range(_MAX_ITERATIONS):
-        fit = fit_at(model, direct_model, setup, names, trajectory, pool, analytic)
-        analytic, white = fit.analytic, fit.evidence.white
-        delta, length = step_from(setup, trajectory.point, fit.evidence)
+        fit = fit_at(models, data, names, trajectory, pool, analytic)
+        analytic, white = fit.analytic, fit.information.white
+        delta, length = step_from(data, trajectory.point, fit.information)
         if length < _TOLERANCE:
             break
         for share in _STEP_SHARES:
             step = dict(zip(fit.columns[0].names, (share * delta).tolist(), strict=True))
             starts = step_starts(trajectory.point.starts, white, delta, share)
             trial = replay_at(
-                model,
-                setup,
-                replace(apply_step(setup, trajectory.point, step, limits), starts=starts),
+                models.model,
+                data,
+                replace(apply_step(data, trajectory.point, step, limits), starts=starts),
                 pool,
             )
             if trial.cost < trajectory.cost:
@@ -370,9 +390,8 @@ def refit(
 
 
 def fit_at(
-    model: ReplayModel,
-    direct_model: ReplayModel,
-    setup: FlightData,
+    models: StagedModels,
+    data: FlightData,
     names: Sequence[str],
     trajectory: Trajectory,
     pool: Processes,
@@ -383,34 +402,33 @@ def fit_at(
     ``names`` are the estimated properties and active effects. ``analytic`` lists properties that
     act as the coefficient terms of their names; None to test for them.
     """
+    model, direct_model = models.model, models.direct_model
     point, properties = (
         trajectory.point,
-        [n for n in names if n not in {e.key for e in setup.active}],
+        [n for n in names if n not in {e.key for e in data.active}],
     )
-    linear_probes = probes(direct_model, setup, trajectory, positions(model, setup, point), pool)
+    linear_probes = probes(direct_model, data, trajectory, positions(model, data, point), pool)
     linear_probes, analytic = with_property_slopes(
         direct_model,
-        setup.segments,
+        data.segments,
         linear_probes,
         properties,
-        setup.properties(point),
+        data.properties(point),
         analytic,
         pool,
     )
-    if setup.jumping:
+    if data.jumping:
         linear_probes = [
             replace(p, jumped=control_jumps(a))
-            for p, a in zip(linear_probes, path_deviations(model, setup, point), strict=True)
+            for p, a in zip(linear_probes, path_deviations(model, data, point), strict=True)
         ]
-    steps = steps_of(
-        slopes_of(linear_probes, pool), [None] * len(linear_probes), setup, point, pool
-    )
+    steps = steps_of(slopes_of(linear_probes, pool), [None] * len(linear_probes), data, point, pool)
     for s, y in zip(steps, trajectory.outputs, strict=True):
-        s.y_ref[:, setup.output_rows] = y
-    columns = parameter_columns(setup, linear_probes, trajectory, names, analytic)
-    white = whiten(steps, setup.measured, columns, setup.output_rows, setup.noise)
-    evidence = normal_equations(white, columns[0].names, [0] * len(white), PRIOR)
-    return Linearisation(trajectory, linear_probes, steps, columns, evidence, analytic)
+        s.y_ref[:, data.output_rows] = y
+    columns = parameter_columns(data, linear_probes, trajectory, names, analytic)
+    white = whiten(steps, data.measured, columns, data.output_rows, data.noise)
+    information = normal_equations(white, columns[0].names, [0] * len(white), PRIOR)
+    return Linearisation(trajectory, linear_probes, steps, columns, information, analytic)
 
 
 def step_starts(
@@ -430,16 +448,16 @@ def step_starts(
 
 
 def step_from(
-    setup: FlightData, point: ModelState, evidence: Information
+    data: FlightData, point: ModelState, information: Information
 ) -> tuple[FloatArray, float]:
     """Return the Gauss-Newton step (K,) from a point, and its length in standard errors.
 
     Fixed effects do not move. Neither does a quantity at its limit that the step would take beyond
     it: a jump share (SHARES), or a rate limit that no command reaches.
     """
-    delta, length = evidence.step(setup.fixed_effects)
-    move = dict(zip(evidence.names, delta.tolist(), strict=True))
-    (low, high), shares = SHARES, {jump_share_name(f): jump_share(point, f) for f in setup.jumping}
+    delta, length = information.step(data.fixed_effects)
+    move = dict(zip(information.names, delta.tolist(), strict=True))
+    (low, high), shares = SHARES, {jump_share_name(f): jump_share(point, f) for f in data.jumping}
     stay = [
         n
         for n, share in shares.items()
@@ -447,14 +465,14 @@ def step_from(
     ]
     stay += [
         key
-        for key, lower_bound in setup.lower_bounds.items()
+        for key, lower_bound in data.lower_bounds.items()
         if point.effects.get(key, 0.0) <= lower_bound and move[key] < 0.0
     ]
-    return evidence.step([*setup.fixed_effects, *stay]) if stay else (delta, length)
+    return information.step([*data.fixed_effects, *stay]) if stay else (delta, length)
 
 
 def apply_step(
-    setup: FlightData,
+    data: FlightData,
     point: ModelState,
     step: Mapping[str, float],
     limits: Mapping[str, tuple[float, float]],
@@ -468,21 +486,21 @@ def apply_step(
         for n, v in point.values.items()
     }
     effects = dict(point.effects)
-    for e in setup.active:
-        if e.key in step and (e.key in setup.carriers or not acts_on_motion(e)):
+    for e in data.active:
+        if e.key in step and (e.key in data.carriers or not acts_on_motion(e)):
             effects[e.key] = max(
-                effects.get(e.key, 0.0) + step[e.key], setup.lower_bounds.get(e.key, -math.inf)
+                effects.get(e.key, 0.0) + step[e.key], data.lower_bounds.get(e.key, -math.inf)
             )
     nuisance = {n: v for n, v in point.nuisance.items() if n.startswith(f"{UNSEEN}/")}
-    nuisance |= {n: point.nuisance.get(n, 0.0) + step[n] for n in setup.nuisance}
+    nuisance |= {n: point.nuisance.get(n, 0.0) + step[n] for n in data.nuisance}
     nuisance |= {
-        n: float(np.clip(nuisance[n], *SHARES)) for n in map(jump_share_name, setup.jumping)
+        n: float(np.clip(nuisance[n], *SHARES)) for n in map(jump_share_name, data.jumping)
     }
     return replace(point, values=values, nuisance=nuisance, effects=effects)
 
 
 def one_step_estimates(
-    evidence: Information,
+    information: Information,
     names: Sequence[str],
     fit: Linearisation,
     chosen: Sequence[str] = (),
@@ -494,7 +512,7 @@ def one_step_estimates(
     ``moved``.
     """
     free = [*(n for n in fit.columns[0].names if not n.startswith("effect/")), *chosen]
-    estimates, at = corrected_estimates(evidence, free, names), fit.trajectory.point.values
+    estimates, at = corrected_estimates(information, free, names), fit.trajectory.point.values
     return {
         n: (float(at[n] + (delta if moved else 0.0)), std)
         for n, (delta, std, _) in estimates.items()
@@ -504,25 +522,25 @@ def one_step_estimates(
 # Exchange with `identification.replay_fit`, which fits the model without effects.
 
 
-def observations_of(setup: FlightData, sensed: Mapping[str, float] | None = None) -> Observed:
+def observations_of(data: FlightData, sensed: Mapping[str, float] | None = None) -> Observed:
     """Return the observations of a fit, without the sensors' effects ``sensed`` (values by key)."""
-    late = {**setup.late, **dict.fromkeys(setup.timed, (CONTROL_DELAY,))}
+    late = {**data.late, **dict.fromkeys(data.timed, (CONTROL_DELAY,))}
     if not sensed:
-        return Observed(setup.segments, setup.outputs, setup.measured, setup.biased, late)
+        return Observed(data.segments, data.outputs, data.measured, data.biased, late)
     point = ModelState({}, {}, (), dict(sensed))
-    late_s = {c: sensor_delay_s(c, setup.segments[0], point) for c in setup.outputs}
-    data = [
+    late_s = {c: sensor_delay_s(c, data.segments[0], point) for c in data.outputs}
+    measured = [
         np.column_stack(
-            [without_sensor_errors(z[:, k], c, s, point) for k, c in enumerate(setup.outputs)]
+            [without_sensor_errors(z[:, k], c, s, point) for k, c in enumerate(data.outputs)]
         )
-        for z, s in zip(setup.measured, setup.segments, strict=True)
+        for z, s in zip(data.measured, data.segments, strict=True)
     ]
-    return Observed(setup.segments, setup.outputs, data, setup.biased, late, late_s)
+    return Observed(data.segments, data.outputs, measured, data.biased, late, late_s)
 
 
 def point_of(
     replay_fit: ReplayFit,
-    setup: FlightData,
+    data: FlightData,
     names: Sequence[str],
     sensed: Mapping[str, float] | None = None,
 ) -> ModelState:
@@ -532,7 +550,7 @@ def point_of(
     0.
     """
     estimates = replay_fit.values()
-    nuisance = {n: estimates.get(n.replace("lateness/", "delay/"), 0.0) for n in setup.nuisance}
+    nuisance = {n: estimates.get(n.replace("lateness/", "delay/"), 0.0) for n in data.nuisance}
     nuisance |= {n: v for n, v in estimates.items() if n.startswith(f"{UNSEEN}/")}
     point = ModelState(
         {n: estimates[n] for n in names}, nuisance, tuple(replay_fit.starts()), dict(sensed or {})

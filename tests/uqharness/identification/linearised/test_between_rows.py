@@ -14,7 +14,12 @@ from sysid.estimation import MeasuredSystem, gains, whiten_innovations
 from sysid.parallel import SERIAL
 from tests.uqharness.identification.linearised.test_gusts import DT, MASS, N, probe_of
 from uqharness.identification.linearised import linearise
-from uqharness.identification.linearised.flight_data import FlightData, ModelState, jump_share_name
+from uqharness.identification.linearised.flight_data import (
+    FlightData,
+    ModelState,
+    StagedModels,
+    jump_share_name,
+)
 from uqharness.identification.linearised.replay_fit import fit_at, replay_at
 from uqharness.replay import CONTROLS, JUMPING_CHANNELS
 from uqharness.replay.model import ReplayFolder
@@ -135,7 +140,7 @@ def test_what_is_unseen_of_a_jump_is_what_a_replay_lacks_without_it(ideal):
             )
             for share in (0.0, 1.0)
         )
-        fit = fit_at(model, level, setup, ("aero/Cm_q",), observed, SERIAL)
+        fit = fit_at(StagedModels(model, level), setup, ("aero/Cm_q",), observed, SERIAL)
         with ReplayFolder(aircraft) as servos:
             assert not linearise.path_deviations(servos, setup, observed.point)[0][1].any()
     expected = lacking.outputs[0] - observed.outputs[0]
@@ -175,7 +180,9 @@ def test_columns_of_what_goes_with_a_surface_know_when_it_jumps(share):
         fdm = model.open(DT)
         values = {n: float(fdm[n]) for n in names}
         point = ModelState(values, {jump_share_name("f"): share}, (segment.start,))
-        fit = fit_at(model, level, setup, names, replay_at(model, setup, point, SERIAL), SERIAL)
+        fit = fit_at(
+            StagedModels(model, level), setup, names, replay_at(model, setup, point, SERIAL), SERIAL
+        )
         (of,), (steps,) = fit.columns, fit.steps
         observed = MeasuredSystem.of(steps, setup.measured[0], setup.output_rows)
         by = gains(observed, noise, None)

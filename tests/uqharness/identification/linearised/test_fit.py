@@ -39,4 +39,4 @@ def test_the_last_step_is_taken_unless_what_was_flown_stands(monkeypatch):
 def test_where_the_first_replays_leave_the_finite_there_is_no_fit(monkeypatch, cost):
     monkeypatch.setattr(fits, "replay_at", lambda *_: SimpleNamespace(cost=cost))
     with pytest.raises(np.linalg.LinAlgError, match="no numbers"):
-        fits.refit(None, None, None, None, (), {}, None)  # type: ignore[arg-type]
+        fits.refit(SimpleNamespace(model=None), None, None, (), {}, None)  # type: ignore[arg-type]
