@@ -445,7 +445,7 @@ def test_surfaces_stand_where_commands_that_act_late_have_them(late_s):
     flight = prepare("f", flown((("pitch-doublet", 22.0),), seed=1, seconds=8.0), ())
     setup = make_flight_data(aircraft, [flight], ())
     with ReplayFolder(aircraft) as model:
-        pair, shares = refine_gusts.setups_about_delay(
+        pair, shares = refine_gusts.data_about_delay(
             model, setup, ModelState({}, {"lateness/f/controls": late_s}, ())
         )
         result = refine_gusts._between([positions(model, acts) for acts in pair], shares)
@@ -453,7 +453,7 @@ def test_surfaces_stand_where_commands_that_act_late_have_them(late_s):
             model, make_flight_data(aircraft, [flight.with_delayed_commands(late_s)], ())
         )
         rows = positions(model, setup)
-        single, empty = refine_gusts.setups_about_delay(model, setup, ModelState({}, {}, ()))
+        single, empty = refine_gusts.data_about_delay(model, setup, ModelState({}, {}, ()))
     assert [acts is setup for acts in single] == [True]
     assert not any(empty)
     for one, other, at_rows in zip(result, expected, rows, strict=True):
@@ -472,7 +472,7 @@ def test_where_surfaces_stand_goes_with_how_late_commands_act_without_a_step():
     with ReplayFolder(aircraft) as model:
 
         def at(places):
-            pair, shares = refine_gusts.setups_about_delay(
+            pair, shares = refine_gusts.data_about_delay(
                 model, setup, ModelState({}, {"lateness/f/controls": places * step}, ())
             )
             return np.concatenate(
