@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -193,5 +194,20 @@ def test_the_limit_is_the_one_of_which_the_flights_want_just_what_it_does():
         == limits[0]
     )
     assert rate_limit_pair(servo, 1.0 / 80.0 - 1.0 / 240.0) == pytest.approx((80.0, 77.6))
-    # Faster than the servo's own, where it may hardly be reached: halfway back, in travel time.
-    assert rate_limit_pair(servo, 1.0 / 480.0 - 1.0 / 240.0) == pytest.approx((480.0, 320.0))
+    # Faster than the servo's own, where it may hardly be reached: back to the servo's own.
+    assert rate_limit_pair(servo, 1.0 / 480.0 - 1.0 / 240.0) == pytest.approx((480.0, 240.0))
+
+
+def test_a_servo_without_its_limit_is_seen_where_the_limit_acts_within_rows():
+    """A jump of 16 deg: by the end of its row the surface has nearly caught up with a limit halfway
+    between the servo's own and the fastest motion, so that halfway a third of the change is seen.
+    """
+    servo, h = Actuator(25.0, 240.0), 0.02
+    command = np.repeat([0.0, 8.0, -8.0, 0.0], 30)
+    slowness = 1.0 / 361.0 - 1.0 / 240.0
+    flown, other = rate_limit_pair(servo, slowness)
+    column = servo_change("rate_limit", servo, command, h, (flown, other))
+    step = h / runs_per_row(h)
+    free = replace(servo, rate=np.inf).follow(command, h, step)
+    np.testing.assert_allclose(slowness * column, free - servo.follow(command, h, step), atol=1e-9)
+    assert np.abs(slowness * column).max() > 0.1

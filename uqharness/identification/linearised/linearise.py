@@ -557,8 +557,8 @@ def _segment_columns(
 def local_rate_limits(active: Sequence[Effect], point: ModelState) -> list[Effect]:
     """Return the active rate limits above the servos' own, with the term of their local slope.
 
-    The local slope gives their standard error. They are selected by the slope halfway back to the
-    servo's own limit, which shows their effect.
+    The local slope gives their standard error. They are selected by the slope from the servo's own
+    limit, which shows their effect.
     """
     faster = [e for e in active if e.term == "rate_limit" and point.effects.get(e.key, 0.0) < 0.0]
     return [replace(e, term=e.term + LOCAL_SLOPE) for e in faster]
@@ -768,11 +768,9 @@ def _servo_at(
 def rate_limit_pair(servo: Actuator, slowness: float) -> tuple[float, float]:
     """Return the two rate limits [deg/s] that give the slope at an effect's value [s/deg]."""
     limit = servo.slowed_to(slowness)
-    # A limit above the servo's own is hardly reached, and a small change does nothing. Halfway
-    # back to the servo's own limit it does.
-    return limit, min(
-        NEARBY_SHARE * limit, servo.slowed_to(0.5 * slowness) if slowness < 0.0 else limit
-    )
+    # A limit above the servo's own is hardly reached, and a small change does nothing. The whole
+    # change from the servo's own limit does.
+    return limit, min(NEARBY_SHARE * limit, servo.rate if slowness < 0.0 else limit)
 
 
 def dead_zone_change(u: FloatArray, width_deg: float, in_model: bool = False) -> FloatArray:
