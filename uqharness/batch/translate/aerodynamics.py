@@ -384,9 +384,9 @@ def _vector(
             f"frame '{kind}' of a <{node.tag}> is not supported; BODY, LOCAL, WIND and"
             " INERTIAL are",
         )
-    # At most one of each element.
+    # At most one of each element. JSBSim does not read the location of a moment.
     parts = {child.tag: child for child in node.children if child.tag not in _REMARKS}
-    allowed = {"function", "direction", *(("location",) if node.tag == "force" else ())}
+    allowed = {"function", "direction", "location"}
     if set(parts) - allowed or len(parts) != len(
         [child for child in node.children if child.tag not in _REMARKS]
     ):

@@ -103,7 +103,8 @@ def force(
 
 
 def moment(frame, function="<function><product><p>i/a</p><v>.5</v></product></function>"):
-    return f'<moment name="turn" frame="{frame}">{function}{DIRECTION}</moment>'
+    # JSBSim ignores the place of a moment.
+    return f'<moment name="turn" frame="{frame}">{function}{LOCATION}{DIRECTION}</moment>'
 
 
 def body(text):
