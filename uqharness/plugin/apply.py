@@ -733,6 +733,8 @@ def instrument_aircraft(
     assumed_rows = {row.name: row.source for row in host_properties(aircraft)}
     notes += [
         f"{row.name} is {row.source}: without it a control moves nothing"
+        if re.fullmatch(r"[\d.e+-]+", row.source)
+        else f"{row.name} follows {row.source}: both command one control"
         for row in (facts.host if facts is not None else ())
         if row.source != assumed_rows.get(row.name)
     ]

@@ -249,9 +249,8 @@ def assumed_facts(S_m2: float, b_m: float, c_m: float) -> AircraftFacts:
 def measure_facts(folder: Path) -> AircraftFacts:
     """Measure the aircraft in a folder, in this process. Raises BadInputError."""
     aircraft = _at_stable_step(find_aircraft(folder))
-    controls = {
-        name: _control_facts(
-            name,
+    held = {
+        name: (
             _hold_commands(aircraft, name, commands),
             functools.partial(_hold_commands, aircraft, name, commands, _TURNING_RADPS),
         )
@@ -259,6 +258,12 @@ def measure_facts(folder: Path) -> AircraftFacts:
         for reach in (aircraft.card.inputs[name].limits[1],)
         for commands in ([reach * command for command in _COMMANDS],)
     }
+    controls = {name: _control_facts(name, *rows, _POSITIONS[name]) for name, rows in held.items()}
+    # Without ailerons their command may drive the rudder, which then has no other one.
+    free = [p for name in controls if not controls[name].sense for p in _POSITIONS[name]]
+    for name, control in controls.items():
+        if control.sense and control.throw_deg is None and not control.unmeasured:
+            controls[name] = _control_facts(name, *held[name], free)
     closed, opened = (
         _hold_commands(aircraft, "throttle", (value,))[0]
         for value in aircraft.card.inputs["throttle"].limits
@@ -307,6 +312,7 @@ _UNITS = {
 _ASSUMED_REACH = {"deg": 20.0, "rad": 0.35}  # of a surface commanded by its angle
 _MAX_CANDIDATES, _MAX_SWITCHES = 60, 20
 _MIN_SHARE = 1e-4  # of the weight, or rad/s2: the smallest answer of a command that is worth a name
+_EQUAL_SHARE = 0.5  # of the strongest throttle's thrust, from where an input is a throttle as well
 _MIDDLE_SHARE = 0.02  # of the answer, by which half a command must differ from both ends
 
 
@@ -343,13 +349,17 @@ def with_live_controls(aircraft: Aircraft) -> Aircraft:
     throttle, angular acceleration for a surface. Systems are what a host would provide and is 0.
     Without effect of either the aircraft is unchanged. Raises BadInputError.
     """
+    # Engine 0 of a quadplane may lift.
+    pulling = _Bench(aircraft).pulling
+    if pulling and aircraft.card.inputs["throttle"].property == engine.THROTTLE != pulling[0]:
+        aircraft = _with_input(aircraft, "throttle", pulling)
     dead = [control for control in _COMMAND_WORDS if not _Bench(aircraft).answers(control)]
     for control in dead:
         switched = _with_systems_on(aircraft, control)
         if switched is not None:
             aircraft = switched
-        elif name := _Bench(aircraft).command(control):
-            aircraft = _with_input(aircraft, control, name)
+        elif names := _Bench(aircraft).commands(control):
+            aircraft = _with_input(aircraft, control, names)
             if not _Bench(aircraft).answers(control):
                 aircraft = _with_systems_on(aircraft, control) or aircraft
     return aircraft
@@ -377,8 +387,9 @@ def _with_systems_on(aircraft: Aircraft, control: str) -> Aircraft | None:
     return replace(aircraft, card=card)
 
 
-def _with_input(aircraft: Aircraft, control: str, name: str) -> Aircraft:
-    """Return the aircraft with another command of a control."""
+def _with_input(aircraft: Aircraft, control: str, names: Sequence[str]) -> Aircraft:
+    """Return the aircraft with another command of a control; the host copies it to others."""
+    name = names[0]
     change: dict[str, object] = {"property": name}
     unit = next((unit for unit, words in _UNITS.items() if words.search(name)), "")
     if control == "throttle":
@@ -388,7 +399,9 @@ def _with_input(aircraft: Aircraft, control: str, name: str) -> Aircraft:
         change |= {"unit": unit, "limits": (-reach, reach)}
     row = aircraft.card.inputs[control].model_copy(update=change)
     inputs = {**aircraft.card.inputs, control: row}
-    return replace(aircraft, card=aircraft.card.model_copy(update={"inputs": inputs}))
+    host = {**aircraft.card.host, **dict.fromkeys(names[1:], name)}
+    card = aircraft.card.model_copy(update={"inputs": inputs, "host": host})
+    return replace(aircraft, card=card)
 
 
 class _Bench:
@@ -407,6 +420,11 @@ class _Bench:
         self._exists = self._fdm.get_property_manager().hasNode
 
     @property
+    def pulling(self) -> list[str]:
+        """Return the throttle commands of the engines that pull."""
+        return engine.throttles(self._fdm)[0]
+
+    @property
     def has_propeller(self) -> bool:
         """Return whether an engine turns a propeller."""
         engines = range(self._engines)
@@ -421,8 +439,11 @@ class _Bench:
         first, last = (self._answer(control, card.property, value) for value in (low, high))
         return bool(abs(last - first) > self._smallest(control))
 
-    def command(self, control: str) -> str | None:
-        """Return the input of the model that commands a control; None without one."""
+    def commands(self, control: str) -> list[str]:
+        """Return the inputs of the model that command a control, the strongest first.
+
+        Only a throttle has several, such as one for each motor.
+        """
         words = _COMMAND_WORDS[control]
         names = scan(model_files(self._aircraft).contents(), self._engines)
         candidates = [
@@ -441,8 +462,13 @@ class _Bench:
             strengths = {name: self._strength(control, name) for name in group[:_MAX_CANDIDATES]}
             best = max(strengths, key=lambda name: strengths[name], default="")
             if best and strengths[best] > self._smallest(control):
-                return best
-        return None
+                equals = [
+                    name
+                    for name, strength in strengths.items()
+                    if strength > _EQUAL_SHARE * strengths[best] and name != best
+                ]
+                return [best, *equals] if control == "throttle" else [best]
+        return []
 
     def _strength(self, control: str, name: str) -> float:
         """Return the size of a graded answer to a property; 0 for a switch."""
@@ -556,7 +582,10 @@ def _in_flight(aircraft: Aircraft, control: str) -> ControlFacts:
 
 
 def _control_facts(
-    control: str, rows: Sequence[_HeldState], turning: Callable[[], Sequence[_HeldState]]
+    control: str,
+    rows: Sequence[_HeldState],
+    turning: Callable[[], Sequence[_HeldState]],
+    positions: Sequence[str],
 ) -> ControlFacts:
     """Return sense and throw of a surface.
 
@@ -568,6 +597,8 @@ def _control_facts(
         One for each of `_COMMANDS`.
     turning : callable
         Returns the same rows with the aircraft turning.
+    positions : sequence of str
+        Positions that the control may move; the first one that it does gives the throw.
     """
     name, sign = _RESPONSE[control]
     answers = [row.values[name] for row in rows]
@@ -579,7 +610,7 @@ def _control_facts(
         return ControlFacts(0)
     # Compare the accelerations at both ends.
     sense = sign if high > low else -sign
-    for name in _POSITIONS[control]:
+    for name in positions:
         ends = [
             row.positions[name] * (RAD_DEG if name.endswith("rad") else 1.0)
             for row in rows

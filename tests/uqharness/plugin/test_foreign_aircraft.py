@@ -100,6 +100,33 @@ def test_a_throttle_of_another_name_is_found_by_its_effect(copies):
     assert [line.split("]")[0] for line in dead] == ["[inputs.rudder"]
 
 
+def test_throttles_of_other_names_that_pull_alike_are_one_control(tmp_path):
+    folder = foreign_aircraft.write("wing", tmp_path)
+    xml = folder / "wing.xml"
+    # Two motors without a propeller of their own, at half the wing's thrust each.
+    force = """<force name="{0}" frame="BODY"><function><product><value>2</value>
+    <property>uav/{0}</property></product></function><location unit="M"><x>0</x><y>{1}</y><z>0</z>
+    </location><direction><x>1</x><y>0</y><z>0</z></direction></force>
+    <moment name="{0}-torque" frame="BODY"><function><product><value>0.01</value>
+    <property>uav/{0}</property></product></function><location unit="M"><x>9</x><y>9</y><z>9</z>
+    </location><direction><x>1</x><y>0</y><z>0</z></direction></moment>"""
+    text = re.sub("<propulsion>.*</propulsion>", "<propulsion/>", xml.read_text(), flags=re.DOTALL)
+    text = re.sub('<channel name="Motor">.*?</channel>', "", text, flags=re.DOTALL)
+    declared = "<property>uav/motor-left</property><property>uav/motor-right</property>"
+    forces = declared + force.format("motor-left", -0.3) + force.format("motor-right", 0.3)
+    reactions = f"<external_reactions>{forces}</external_reactions>"
+    text = text.replace("<aerodynamics>", f"{reactions}<aerodynamics>")
+    xml.write_text(text)
+    done = instrument_aircraft(find_aircraft(folder), Bounds(), tmp_path / "mine", check=False)
+    card = find_aircraft(done.folder).card
+    first = card.inputs["throttle"].property
+    (second,) = {"uav/motor-left", "uav/motor-right"} - {first}
+    assert card.host[second] == first
+    trim = find_trim(find_aircraft(done.folder), SteadyCondition(15.0, 200.0))
+    assert trim.converged, trim.reason
+    assert abs(trim.controls["aileron"]) < 0.05
+
+
 def test_without_ailerons_the_rudder_holds_the_wings(tmp_path):
     folder = foreign_aircraft.write("wing", tmp_path)
     xml = folder / "wing.xml"

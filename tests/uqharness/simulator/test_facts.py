@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import shutil
 from pathlib import Path
 
 import pytest
@@ -129,6 +130,49 @@ def test_an_electric_aircraft_is_measured_with_its_engine_settled(electric: Path
     assert done.verdict is not None
     assert (done.verdict.status, dict(done.unmeasured)) == ("works", {})
     assert "moves nothing" not in (tmp_path / "out" / "airframe.toml").read_text()
+
+
+def changed(folder: Path, *changes: tuple[str, str]) -> Path:
+    """Return the folder with changes in the aircraft's XML."""
+    xml = folder / "glow.xml"
+    text = xml.read_text()
+    for old, new in changes:
+        assert old in text
+        text = text.replace(old, new)
+    xml.write_text(text)
+    return folder
+
+
+LIFTS = """<engine file="motor"><thruster file="prop"><orient unit="DEG"><pitch>90</pitch></orient>
+ </thruster></engine>"""
+
+
+def test_the_card_names_the_throttles_of_the_engines_that_pull(electric: Path, tmp_path: Path):
+    folder = Path(shutil.copytree(electric, tmp_path / "glow"))
+    pulls = "<engine file" + folder.joinpath("glow.xml").read_text().split("<engine file")[1]
+    pulls = pulls.split("</engine>")[0] + "</engine>"
+    changed(folder, (pulls, LIFTS + pulls * 2))
+    done = instrument_aircraft(find_aircraft(folder), Bounds(), tmp_path / "out")
+    card = find_aircraft(done.folder).card
+    assert card.inputs["throttle"].property == "fcs/throttle-cmd-norm[1]"
+    assert card.host == {"fcs/throttle-cmd-norm[2]": "fcs/throttle-cmd-norm[1]"}
+
+
+def test_ailerons_that_move_the_rudder_have_its_throw(electric: Path, tmp_path: Path):
+    folder = Path(shutil.copytree(electric, tmp_path / "glow"))
+    aileron = '<aerosurface_scale name="aileron">'
+    xml = (folder / "glow.xml").read_text()
+    component = aileron + xml.split(aileron)[1].split("</aerosurface_scale>")[0]
+    changed(
+        folder,
+        (component + "</aerosurface_scale>", ""),
+        ("<input>fcs/rudder-cmd-norm", "<input>fcs/aileron-cmd-norm"),
+        ("fcs/left-aileron-pos-rad", "fcs/rudder-pos-rad"),
+    )
+    facts = aircraft_facts.measure_facts(folder)
+    assert facts.controls["rudder"].sense == 0
+    assert facts.controls["aileron"].throw_deg == pytest.approx(0.4 * RAD_DEG, rel=1e-3)
+    assert facts.controls["aileron"].sense == 1
 
 
 # J246 and the like are launchers, ball and the like have no controls; what reads a host's
