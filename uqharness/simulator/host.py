@@ -185,11 +185,12 @@ _WORDS: tuple[tuple[frozenset[str], float], ...] = (
     (
         _words(
             "apu augmentation autobrake brake canopy chute contaminated contamination crash"
-            " crashed cutoff damage damaged dead disabled door doors drag drogue dump external fail"
-            " failed failure failures fault faults fire feather flooded fouling freeze friction"
-            " groundhandling hook ice icing inop jammed jato jettison kill killed leak leakage lock"
-            " locked parking primer pushback reduction refuel refueling repairing reverser reversed"
-            " roughness smoke starter stuck tailhook tiller tow towing use winch wingholder wow"
+            " crashed cutoff cutout damage damaged dead disabled door doors drag drogue dump"
+            " external fail failed failure failures fault faults feather fire flooded fouling"
+            " freeze friction groundhandling hook ice icing inop jammed jato jettison kill"
+            " killed leak leakage lock locked parking primer pushback reduction refuel refueling"
+            " repairing reversed reverser roughness smoke starter stuck tailhook tiller tow"
+            " towing use winch wingholder wow"
         ),
         0.0,
     ),
@@ -207,7 +208,8 @@ _ON = _words(
     " feed gen generator ignition main master on open operational output outputs power powered"
     " pressure pump pumps running selected selector serviceable supply switch system valve working"
 )
-_SAME_NAME = 0.85  # similarity of names outside JSBSim's tree, from where one is a misspelling
+# Similarity of parts of names from where one is a misspelling, in JSBSim's tree and outside.
+_SAME_NAME_OF_JSBSIM, _SAME_NAME = 0.7, 0.85
 # Sections of JSBSim's own tree: in the first ones scripts may add names, in the others an unknown
 # name is an error.
 _JSBSIM = _words("fcs gear simulation propulsion")
@@ -263,12 +265,15 @@ class Names:
         Properties that the XML declares to their values; None for a declaration without a value.
     stray : dict
         Values of declarations in places where JSBSim ignores them, such as a channel.
+    compared : dict
+        Property to the numbers with which conditions compare it for equality.
     """
 
     read: dict[str, str] = field(default_factory=dict)
     computed: set[str] = field(default_factory=set)
     declared: dict[str, float | None] = field(default_factory=dict)
     stray: dict[str, float] = field(default_factory=dict)
+    compared: dict[str, list[float]] = field(default_factory=dict)
 
 
 def canonical(name: str) -> str:
@@ -336,6 +341,8 @@ def _scan_element(element: Any, file: str, names: Names, engines: int) -> None:
             for line in text.splitlines():
                 words = line.split()
                 _add_reads([words[0], *words[2:]] if words else [], place, names, engines)
+                if len(words) == 3 and words[1] in _EQUALS and _NUMBER.fullmatch(words[2]):
+                    names.compared.setdefault(canonical(words[0]), []).append(float(words[2]))
         elif child.tag in _READING_TAGS or (child.tag not in _LITERAL_TAGS and "/" in text):
             _add_reads([text], place, names, engines)
         if name := (child.get("name") or "").strip():
@@ -385,6 +392,7 @@ def _add_reads(texts: Iterable[str], place: str, names: Names, engines: int) -> 
                 names.read.setdefault(name, place)
 
 
+_EQUALS = _words("== EQ eq != NE ne")
 _OPERATORS = _words("AND OR EQ NE GT GE LT LE and or eq ne gt ge lt le")
 
 
@@ -488,7 +496,7 @@ def resolve(
         # A brake or fault of FlightGear's tree that is set for the start is released in flight, and
         # a switch that is off until the pilot starts the engines is on.
         elif name.startswith("/") and is_constant:
-            value = 0.0 if _lacks_engine(absolute, exists) else switch_value(absolute)
+            value = 0.0 if _lacks_engine(absolute, exists) else _on_value(absolute, names)
             if names.declared[name] and is_off(name):
                 rows[name] = HostProperty(name, "0", "unknown", place)
             elif not names.declared[name] and value:
@@ -605,8 +613,17 @@ def _switch(name: str, absolute: str, place: str, names: Names, similar: str) ->
         return HostProperty(name, f"{names.stray[name]:g}", "unknown", place)
     if _is_misspelt(name, similar):
         return HostProperty(name, "0", "misspelt", place, similar)
-    value = switch_value(absolute)
+    value = _on_value(absolute, names)
     return HostProperty(name, f"{value:g}", "system" if value else "unknown", place)
+
+
+def _on_value(absolute: str, names: Names) -> float:
+    """Return the value of a switch in flight; if it is on, the one that the model's conditions ask
+    for.
+    """
+    value = switch_value(absolute)
+    positions = [each for each in names.compared.get(absolute, ()) if each > 0.0]
+    return max(positions) if value and positions and value not in positions else value
 
 
 def _is_misspelt(name: str, similar: str) -> bool:
@@ -624,10 +641,31 @@ def _is_misspelt(name: str, similar: str) -> bool:
         for part in zip(name.split("/"), similar.split("/"), strict=False)
         if part[0] != part[1]
     ]
-    is_slip = name.count("/") == similar.count("/") and all(
-        difflib.SequenceMatcher(None, *pair).ratio() >= _SAME_NAME for pair in words
+    limit = _SAME_NAME_OF_JSBSIM if sections & (_JSBSIM | _PHYSICS) else _SAME_NAME
+    # Scripts add names that extend another one by a word, such as engine/cutoff-commanded.
+    return name.count("/") == similar.count("/") and all(
+        difflib.SequenceMatcher(None, *pair).ratio() >= limit for pair in words
     )
-    return bool(similar and (sections & (_JSBSIM | _PHYSICS) or is_slip))
+
+
+def misspelt_physics(names: Names, existing: Collection[str]) -> tuple[HostProperty, ...]:
+    """Return misspelt names of JSBSim's physics in a model that JSBSim does not load.
+
+    Parameters
+    ----------
+    names : Names
+        What its XML names.
+    existing : collection of str
+        Properties that JSBSim has whatever the model is.
+    """
+    defined = {*existing, *names.computed, *names.declared}
+    rows = []
+    for name, place in names.read.items():
+        if name.partition("/")[0] in _PHYSICS and name not in defined:
+            matches = difflib.get_close_matches(name, existing, n=1, cutoff=0.8)
+            if matches and _is_misspelt(name, matches[0]):
+                rows.append(HostProperty(name, "0", "misspelt", place, matches[0]))
+    return tuple(rows)
 
 
 def switch_value(name: str) -> float:

@@ -60,6 +60,7 @@ def with_readings(folder, names):
         ("/sim/model/door-positions/left/position-norm", "0", "unknown"),
         ("/systems/electrical/outputs/flaps", "28", "system"),
         ("/engines/engine/manual-power-reduction-pct", "0", "unknown"),
+        ("/controls/engines/engine/boost-cutout", "0", "unknown"),
         ("/test-factor", "1", "system"),
     ],
 )
@@ -85,6 +86,17 @@ def test_a_switch_that_is_off_before_the_engines_start_is_on():
     assert rows[0].source == "2"
 
 
+def test_a_switch_has_the_position_that_conditions_ask_for():
+    condition = "<system><channel name='c'><switch name='t/s'><test value='1'>{}</test></switch>"
+    names_read = ["/engines/magneto-left", "/engines/magnetos"]
+    text = condition.format("{} == 1\n{} eq 3".format(*names_read)) + "</channel></system>"
+    result = sources_of(host.scan([("x.xml", text.encode())]), names_read)
+    assert result == {
+        "/engines/magneto-left": ("1", "system"),
+        "/engines/magnetos": ("3", "system"),
+    }
+
+
 def test_switches_of_an_engine_that_the_aircraft_lacks_stay_off():
     names = ["/controls/engines/engine/magnetos", "/controls/engines/engine[1]/magnetos"]
     one_engine = re.compile(r"(?!propulsion/engine\[1\])")
@@ -101,6 +113,20 @@ def test_a_misspelt_name_of_jsbsim_is_told_from_a_name_of_the_host(tmp_path):
         '[aircraft]\nname = "glider"\nxml = "glider.xml"\n[host]\n"velocities/vc-knts" = 2.5\n'
     )
     assert open_aircraft(find_aircraft(folder))["velocities/vc-knts"] == 2.5
+
+
+@pytest.mark.parametrize(
+    ("name", "similar", "misspelt"),
+    [
+        ("propulsion/engine/cutoff-commanded", "propulsion/engine/cutoff", False),
+        ("propulsion/engine/set-runing", "propulsion/engine/set-running", True),
+        ("fcs/flap-pos", "fcs/flap-pos-deg", True),
+        ("aero/alpha-degrees", "aero/alpha-deg", True),
+    ],
+)
+def test_a_name_that_extends_another_one_by_a_word_is_a_script_s(name, similar, misspelt):
+    (row,) = host.resolve(reads([name]), {name: similar}, lambda _: True)
+    assert row.misspelt is misspelt
 
 
 @pytest.mark.parametrize("source", ['"0.5 * fcs/flap-cmd-norm + 0.25"', "0.25"])
