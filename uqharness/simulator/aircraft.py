@@ -10,7 +10,7 @@ from __future__ import annotations
 import logging
 import math
 import re
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from io import BytesIO
@@ -653,7 +653,7 @@ def host_properties(aircraft: Aircraft) -> tuple[HostProperty, ...]:
             rows = ensure_loadable(aircraft, content_hash(aircraft))
         except BadInputError as error:
             # JSBSim names its first error; the others are looked for.
-            errors = _findings(aircraft, refused=True)
+            errors = _errors_of_refused(aircraft)
             if not errors:
                 raise
             raise BadInputError(_all_findings(errors)) from error
@@ -973,9 +973,10 @@ def refuse_unknown_operations(aircraft: Aircraft) -> None:
     if errors := _findings(aircraft, refused=False):
         # Errors that keep JSBSim from loading it are named with these.
         try:
-            ensure_loadable(aircraft, content_hash(aircraft))
+            rows = ensure_loadable(aircraft, content_hash(aircraft))
+            errors += _misspelt(aircraft, rows)
         except BadInputError:
-            errors = _findings(aircraft, refused=True)
+            errors = _errors_of_refused(aircraft)
         raise BadInputError(_all_findings(errors))
 
 
@@ -985,6 +986,32 @@ def _findings(aircraft: Aircraft, refused: bool) -> list[str]:
     names = {name: str(aircraft.folder / name) for name in files.local}
     present = [name for name, _ in walk(aircraft.folder) if name.endswith(".xml")]
     return aircraft_checks.findings(files, names, _OPERATIONS, present=present, refused=refused)
+
+
+def _errors_of_refused(aircraft: Aircraft) -> list[str]:
+    """Return all errors of an aircraft that JSBSim refused, misspelt properties included."""
+    errors = _findings(aircraft, refused=True)
+    # Without an error the reason of the refusal is unknown, and JSBSim's own message is better.
+    names = host.scan(staging.model_files(aircraft).contents()) if errors else host.Names()
+    rows = host.misspelt_physics(names, _common_properties())
+    return errors + _misspelt(aircraft, rows)
+
+
+@lru_cache(maxsize=1)
+def _common_properties() -> frozenset[str]:
+    """Return the properties that JSBSim has whatever the model is, from its simplest one."""
+    ball = find_aircraft("ball")
+    return frozenset(engine.catalog(engine.open_fdm(staged(ball), ball.dt_s)))
+
+
+def _misspelt(aircraft: Aircraft, rows: Iterable[HostProperty]) -> list[str]:
+    """Return the errors of misspelt properties that no entry of the card's [host] defines."""
+    defined = {host.canonical(name) for name in aircraft.card.host}
+    return [
+        f"{aircraft.folder / row.place}: {undefined_message((replace(row, place=''),))}"
+        for row in rows
+        if row.misspelt and host.canonical(row.name) not in defined
+    ]
 
 
 def _all_findings(errors: list[str]) -> str:

@@ -509,6 +509,7 @@ N*M*SEC LBS/GAL M4*SEC/KG LBS/HR/HP FT*LB LBS/HP*HR SLUG*FT KM/SEC LBS/FT2 LB*FT
 """
 _UNITS = frozenset(_UNITS_TEXT.split())
 _LENGTHS = frozenset(["location", "wingspan", "chord", "htailarm", "vtailarm", "diameter"])
+_COORDINATES = frozenset("xyz")
 _LENGTHS_OF_TABLES = {"row": 1, "column": 2, "table": 3}
 _PROSE_TEXT = """
 author copyright description documentation email filecreationdate fileheader license limitation note
@@ -581,7 +582,19 @@ def _files(root: Any, files: ModelFiles, present: Collection[str]) -> Iterator[t
         # JSBSim does not look for an engine beside the aircraft's XML.
         places = [f"{folder}/{name}".lstrip("/") for folder in folders if folder or not is_part]
         shared = [f"{kind}/{name}" for kind in INSIDE]
-        if any(place in files.local for place in places) or any(s in files.shared for s in shared):
+        parts = [files.local.get(place) for place in places]
+        parts += [files.shared.get(place) for place in shared]
+        if part := next((part for part in parts if part is not None), None):
+            # JSBSim loads a part only from a file of the same element.
+            if not is_part and part.root not in ("", element.tag):
+                yield (
+                    _line(element),
+                    (
+                        f'<{element.tag} file="{element.get("file")}">: this file is a'
+                        f" <{part.root}>; write <{part.root} file=...>, or rename its root to"
+                        f" <{element.tag}>"
+                    ),
+                )
             continue
         stem = PurePosixPath(name).stem
         matches = difflib.get_close_matches(stem, by_stem.keys() - {stem}, n=1)
@@ -614,6 +627,11 @@ def _numbers(root: Any) -> Iterator[tuple[int, str]]:
                         f" point{_suggested(text)}"
                     ),
                 )
+        # A quantity is a number, in a few components a property, whose name has slashes.
+        is_quantity = "unit" in element.attrib or element.tag in _COORDINATES
+        is_word = re.fullmatch(r"[^\d/]+", texts[0]) is not None
+        if is_quantity and is_word and not len(element):
+            yield _line(element), f"<{element.tag}> is {texts[0]!r}; write a number"
 
 
 def _is_number(text: str) -> bool:

@@ -297,6 +297,14 @@ CASES = {
         ("(<thruster.*?</thruster>)(.*?</engine>)", r"\2\1"),
         "<thruster> is outside of an <engine>; move it into its engine",
     ),
+    "word": (
+        ('<chord unit="FT">[^<]*', '<chord unit="FT">wide'),
+        "<chord> is 'wide'; write a number",
+    ),
+    "part": (
+        ("<aerodynamics>", '<aerodynamics file="Systems/switchboard.xml"/><aerodynamics>'),
+        r"<aerodynamics file=.*>: this file is a <system>; write <system file=\.\.\.>",
+    ),
     "feed": (("<feed>0</feed>", "<feed>4</feed>"), "<feed> is 4, of 1 tank, counted from 0"),
 }
 
@@ -351,6 +359,14 @@ def test_operations_that_jsbsim_would_ignore_are_refused_together(tmp_path):
     more = '<function name="a/c"><times><value>1</value></times></function>'
     with pytest.raises(BadInputError, match=r"^2 errors .*<plus> is no op.*<times> is no op"):
         open_aircraft(broken(tmp_path, ("<aerodynamics>", name + more)))
+
+
+@pytest.mark.parametrize("error", ["<value>4.8.1</value>", "<plus><value>4.8</value></plus>"])
+def test_a_misspelt_property_is_named_with_the_other_errors(tmp_path, error):
+    read = "<aerodynamics><function name='a/b'><property>velocities/vc-knts</property></function>"
+    aircraft = broken(tmp_path, ("<value>4.8</value>", error), ("<aerodynamics>", read))
+    with pytest.raises(BadInputError, match=r"^2 errors .*single\.xml:\d+.*velocities/vc-kts"):
+        open_aircraft(aircraft)
 
 
 def test_what_jsbsim_takes_otherwise_than_the_author_is_remarked(tmp_path, caplog):
