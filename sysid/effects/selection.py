@@ -188,6 +188,7 @@ def select(
     information: Information,
     free: Sequence[str],
     required_gains: Mapping[str, float],
+    *,
     chosen: Sequence[str] = (),
     critical_t: float | None = None,
     empirical: bool = False,

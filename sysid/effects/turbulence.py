@@ -445,6 +445,7 @@ def estimate_turbulence(
     noise: FloatArray,
     V: Sequence[float],
     flights: Sequence[str],
+    *,
     states: GustStates,
     initial: TurbulenceModel | None = None,
     pool: Processes = SERIAL,

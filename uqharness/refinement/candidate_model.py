@@ -69,7 +69,7 @@ class SearchContext:
     ----------
     data : FlightData
         The training flights.
-    baseline : Linearisation
+    baseline_fit : Linearisation
         The fit of the model without effects.
     parameters : tuple of str
         Estimated properties.
@@ -79,24 +79,24 @@ class SearchContext:
         Bounds of each parameter.
     critical_t : float
         |t| required of an effect.
-    cost : float
+    baseline_cost : float
         Minus twice the log likelihood of the baseline.
     estimator : Estimator
     """
 
     data: FlightData
-    baseline: Linearisation
+    baseline_fit: Linearisation
     parameters: tuple[str, ...]
     effects: Mapping[str, Effect]
     limits: Limits
     critical_t: float
-    cost: float
+    baseline_cost: float
     estimator: Estimator
 
     @property
     def free(self) -> tuple[str, ...]:
         """Names of the columns that are always estimated."""
-        return self.baseline.columns[0].names
+        return self.baseline_fit.columns[0].names
 
     def criterion(self, cost: float, keys: Sequence[str]) -> float:
         """Return the penalised likelihood: the cost plus the required gain of each effect."""
@@ -135,11 +135,11 @@ class SearchContext:
         """Return the baseline as the first candidate model; its selection proposes effects."""
         return CandidateModel(
             self.data,
-            self.baseline,
+            self.baseline_fit,
             information,
             Selection(()),
             self.select(information, self.free),
-            self.cost,
+            self.baseline_cost,
             self.estimator.turbulence,
         )
 
@@ -290,7 +290,7 @@ class AircraftFitter:
         try:
             starts = (
                 replace(joint_point(context, reference, list(values)), effects=values),
-                replace(context.baseline.trajectory.point, effects=values),
+                replace(context.baseline_fit.trajectory.point, effects=values),
             )
             with stage_models(staged, data) as models:
                 fit = context.estimator.fit(models, data, starts, names, context.limits, self.pool)
@@ -363,7 +363,7 @@ def joint_point(
     The point does not contain the effects; other properties are as without any effect.
     """
     information, point = reference.information, reference.fit.trajectory.point
-    baseline = context.baseline.trajectory.point
+    baseline = context.baseline_fit.trajectory.point
     delta = information.estimates(information.index([*context.free, *keys]))
     changes = delta[information.index(context.free)].tolist()
     step = dict(zip(context.free, changes, strict=True))
@@ -465,7 +465,7 @@ def stage(
     """Write a copy of the aircraft with effects of such values, and return it with its flight
     data.
     """
-    slopes, effects = control_slopes(context.baseline), [context.effects[k] for k in values]
+    slopes, effects = control_slopes(context.baseline_fit), [context.effects[k] for k in values]
     staged = write_staged(
         aircraft, [EffectToWrite(e, values[e.key], "", slopes) for e in effects], folder
     )

@@ -117,9 +117,9 @@ def _ranges(evaluation: Evaluation, controls: Sequence[Any]) -> list[dict[str, A
     ]
 
 
-def _remaining(chosen: SearchResult, outcome: HoldOutResult, controls: Sequence[Any]) -> Remaining:
+def _remaining(chosen: SearchResult, hold_out: HoldOutResult, controls: Sequence[Any]) -> Remaining:
     """Return whether residuals exceed noise, where, and on what they depend."""
-    result, data, after = outcome.result, outcome.train.data, outcome.train.after
+    result, data, after = hold_out.result, hold_out.train.data, hold_out.train.after
     effects, mismatch, refused = chosen.effects, chosen.mismatch, result.selection.refused
     mismatched_keys = () if mismatch is None else mismatch.replaced
     # Evidence that the model lacks something: residuals on the training flights, a strong candidate
@@ -129,7 +129,7 @@ def _remaining(chosen: SearchResult, outcome: HoldOutResult, controls: Sequence[
     excess = excess_residuals(data, after, result.estimator)
     strong = [refused] if refused is not None and refused.strong else []
     contradicted = [
-        c for c in outcome.withdrawn if abs(c.t) > chosen.critical_t + tuned.SIGNIFICANT_Z
+        c for c in hold_out.withdrawn if abs(c.t) > chosen.critical_t + tuned.SIGNIFICANT_Z
     ]
     reported = {c.key for c in (*contradicted, *chosen.unclear, *chosen.selection.chosen)}
     candidates = [(key, t) for key, t in chosen.remaining if key not in reported]
@@ -141,7 +141,7 @@ def _remaining(chosen: SearchResult, outcome: HoldOutResult, controls: Sequence[
     where = [_unconfirmed(effects[r.key], r) for r in strong]
     where += _disagreeing(data, after, controls) if excess else []
     for c in contradicted:
-        reason = withdrawal_reason(effects[c.key], c, outcome.verdicts[c.key].gap)
+        reason = withdrawal_reason(effects[c.key], c, hold_out.verdicts[c.key].gap)
         where.append(_part(effects[c.key], c.t, reason))
     if mismatch is not None:
         where.append(_wrong_form(mismatch, [effects[k] for k in mismatched_keys]))
@@ -151,7 +151,7 @@ def _remaining(chosen: SearchResult, outcome: HoldOutResult, controls: Sequence[
     where += [_still_significant(effects[key], t, k) for k, (key, t) in enumerate(candidates)]
     where += moments.values()
     # Where the strongest of it is.
-    test_excess = excess_residuals(outcome.test.data, outcome.test.after, result.estimator)
+    test_excess = excess_residuals(hold_out.test.data, hold_out.test.after, result.estimator)
     channels = {
         "train": [*excess.above, *excess.coloured, *moments],
         "test": [*test_excess.above, *test_excess.coloured],
@@ -160,10 +160,10 @@ def _remaining(chosen: SearchResult, outcome: HoldOutResult, controls: Sequence[
         keys = [
             *(key for key, _ in candidates),
             *(r.key for r in strong),
-            *(c.key for c in (*chosen.unclear, *outcome.withdrawn)),
+            *(c.key for c in (*chosen.unclear, *hold_out.withdrawn)),
             *mismatched_keys,
         ]
-        place = place_of(outcome, channels, keys, controls)
+        place = place_of(hold_out, channels, keys, controls)
     else:
         place = ResidualLocation(**no_place(NO_RESIDUAL))
     nearby = strong_unreported(place.candidates, {*reported, *(key for key, _ in candidates)})
@@ -215,7 +215,7 @@ def _unconfirmed(effect: Effect, refused: RejectedCandidate) -> RemainingPart:
 
 
 def document_of(
-    chosen: SearchResult, outcome: HoldOutResult, aircraft: Aircraft, controls: Sequence[Any]
+    chosen: SearchResult, hold_out: HoldOutResult, aircraft: Aircraft, controls: Sequence[Any]
 ) -> Refinement:
     """Return the part of refinement.json that flights and models determine.
 
@@ -223,26 +223,26 @@ def document_of(
     ----------
     chosen : SearchResult
         The selection on the training flights.
-    outcome : HoldOutResult
+    hold_out : HoldOutResult
         What remains after the hold-out test.
     aircraft : Aircraft
         The original aircraft.
     controls : sequence of array
         Control positions of every training segment.
     """
-    result, data, train, test = outcome.result, outcome.train.data, outcome.train, outcome.test
+    result, data, train, test = hold_out.result, hold_out.train.data, hold_out.train, hold_out.test
     switches = {c.key: switch_of(chosen.effects[c.key], aircraft) for c in chosen.selection.chosen}
     # Effects that the hold-out flights support, and those that they withdrew.
     effects = [
-        EffectDocument(**_effect(result, c, outcome.verdicts[c.key], switches))
+        EffectDocument(**_effect(result, c, hold_out.verdicts[c.key], switches))
         for c in result.selection.chosen
     ]
     withdrawn = [
-        Withdrawn(**_effect(chosen, c, outcome.verdicts[c.key], switches, withdrawn=True))
-        for c in outcome.withdrawn
+        Withdrawn(**_effect(chosen, c, hold_out.verdicts[c.key], switches, withdrawn=True))
+        for c in hold_out.withdrawn
     ]
     # What remains decides the verdict: effects do not count while something is unexplained.
-    remaining = _remaining(chosen, outcome, controls)
+    remaining = _remaining(chosen, hold_out, controls)
     refused = result.selection.refused
     return Refinement(
         verdict=(

@@ -213,6 +213,7 @@ def find_effects(
     data: FlightData,
     extra: Sequence[Effect],
     folder: Path,
+    *,
     pool: Processes,
     callback: Callback,
     stages: Stages,
@@ -246,7 +247,9 @@ def find_effects(
     # Baseline and timing: shift the controls until they are on time.
     command_s, shifts, std_s = data.segments[0].command_s, list[float](), 0.0
     while True:
-        baseline = fit_baseline(aircraft, data, extra, shifts, pool, callback, stages)
+        baseline = fit_baseline(
+            aircraft, data, extra, shifts, pool=pool, callback=callback, stages=stages
+        )
         offset = controls_offset(baseline, command_s, first=not shifts)
         if offset is None:
             break
@@ -296,6 +299,7 @@ def fit_baseline(
     recorded: FlightData,
     extra: Sequence[Effect],
     shifts: Sequence[float],
+    *,
     pool: Processes,
     callback: Callback,
     stages: Stages,
@@ -419,7 +423,7 @@ def controls_offset(
         return None
     # The information as it is with the controls at their rows.
     key, context = CONTROLS_LATE.key, baseline.context
-    nuisance = context.baseline.trajectory.point.nuisance
+    nuisance = context.baseline_fit.trajectory.point.nuisance
     offsets = {n: nuisance[n] for n in map(control_delay_name, context.data.timed)}
     information = baseline.information.without_values(offsets)
     free = [n for n in context.free if n not in offsets]
@@ -756,15 +760,15 @@ def _result_of(context: SearchContext, baseline: Baseline, outcome: SearchOutcom
         moved=is_linear or bool(model.read_once),
     )
     plain = one_step_estimates(
-        baseline.information, context.parameters, context.baseline, (), moved=is_linear
+        baseline.information, context.parameters, context.baseline_fit, (), moved=is_linear
     )
-    selection, slopes = of_lift_slope(selection, context.baseline, model.fit)
+    selection, slopes = of_lift_slope(selection, context.baseline_fit, model.fit)
     candidates = eligible(all_effects, context.data, model.free, model.information)
     scored = eligible(all_effects, context.data, context.free, baseline.information)
     return SearchResult(
         model.data,
         context.parameters,
-        context.baseline,
+        context.baseline_fit,
         model.fit,
         selection,
         context.effects,

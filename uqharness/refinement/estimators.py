@@ -215,7 +215,7 @@ class Estimator(ABC):
         """Return the data with the sensor noise from which the estimator starts."""
         return data
 
-    def air_of(
+    def turbulence_of(
         self, aircraft: Aircraft, data: FlightData, point: ModelState, pool: Processes
     ) -> TurbulenceModel | None:
         """Estimate the air of other flights with the model and sensors at a point."""
@@ -389,7 +389,7 @@ class PredictionErrorEstimator(Estimator):
             names,
             limits,
             pool,
-            self.turbulence,
+            turbulence=self.turbulence,
             tune=True,
         )
 
@@ -404,7 +404,15 @@ class PredictionErrorEstimator(Estimator):
         """Linearise the flights about one-step predictions in the same air."""
         point = trajectory.point
         result = gust_refit(
-            models, data, point, names, {}, pool, self.turbulence, 1, fixed_air=True
+            models,
+            data,
+            point,
+            names,
+            {},
+            pool,
+            turbulence=self.turbulence,
+            iterations=1,
+            fixed_air=True,
         )
         return result.data, result.fit
 
@@ -471,7 +479,7 @@ class PredictionErrorEstimator(Estimator):
         """
         return with_card_noise(aircraft, data)
 
-    def air_of(
+    def turbulence_of(
         self, aircraft: Aircraft, data: FlightData, point: ModelState, pool: Processes
     ) -> TurbulenceModel | None:
         """Estimate the air from this one; keep it where no filter follows the flights with such a
@@ -482,7 +490,7 @@ class PredictionErrorEstimator(Estimator):
             start = with_measured_starts(point, data)
             try:
                 return gust_refit(
-                    models, data, start, (), {}, pool, self.turbulence, iterations=2
+                    models, data, start, (), {}, pool, turbulence=self.turbulence, iterations=2
                 ).turbulence
             except np.linalg.LinAlgError:
                 speeds = [float(np.nanmean(c["V_mps"])) for c in data.channels]
@@ -509,7 +517,10 @@ class PredictionErrorEstimator(Estimator):
         """
         start = with_measured_starts(point, data)
         try:
-            result = gust_refit(models, data, start, (), {}, pool, self.turbulence, fixed_air=True)
+            turbulence = self.turbulence
+            result = gust_refit(
+                models, data, start, (), {}, pool, turbulence=turbulence, fixed_air=True
+            )
             step, _ = result.fit.information.step()
             trajectory, rows = result.fit.trajectory, result.fit.information.residual(step)
             filtered = result.fit.information.white
@@ -748,6 +759,7 @@ def fit_output_error(
     names: Sequence[str],
     limits: Limits,
     pool: Processes,
+    *,
     absent: Collection[str] = (),
 ) -> Trajectory | None:
     """Estimate properties, effects, start states and nuisance together on replays.

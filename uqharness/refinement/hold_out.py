@@ -166,7 +166,7 @@ class HoldOutResult:
 
 @dataclass
 class HoldOutTest:
-    """Test that evaluates models on both sides and withdraws effects one by one, the worst first.
+    """Test that evaluates models on all flights and withdraws effects one by one, the worst first.
 
     ``chosen`` is the model that the training flights selected, ``complete`` the aircraft with all
     its effects. `run` sets the evaluations: of the chosen model on the training and hold-out
@@ -186,7 +186,7 @@ class HoldOutTest:
     def run(self) -> HoldOutResult:
         """Judge every effect, and withdraw until all remaining ones stay."""
         chosen, point = self.chosen, self.chosen.after.trajectory.point
-        # The chosen model and the one without effects on both sides.
+        # The chosen model and the one without effects on all flights.
         plain = without_effects(chosen)
         train_before = self.evaluate(plain, self.train, chosen.before.trajectory.point)
         test_before = self.evaluate(plain, self.test, None)
@@ -225,11 +225,11 @@ class HoldOutTest:
     # Models of the aircraft; a test on other equations replaces these four.
 
     def evaluate(
-        self, model: SearchResult, side: Dataset, initial: ModelState | None
+        self, model: SearchResult, dataset: Dataset, initial: ModelState | None
     ) -> Evaluation:
-        """Evaluate a model on one side, from the nuisance and start states of ``initial``."""
+        """Evaluate a model on some flights, from the nuisance and start states of ``initial``."""
         aircraft, values = flown_as(model, self.chosen, self.complete, self.write)
-        return evaluate(aircraft, side, self.pool, point_as_written(model, values, initial))
+        return evaluate(aircraft, dataset, self.pool, point_as_written(model, values, initial))
 
     def leave_out(self, keys: Sequence[str]) -> SearchResult:
         """Return the chosen model, estimated on the training flights without some effects."""
@@ -240,7 +240,7 @@ class HoldOutTest:
         return refit_remaining(remaining, self.chosen, self.complete, self.pool)
 
     @cached_property
-    def both_sides(self) -> TrainTestInformation:
+    def train_and_test(self) -> TrainTestInformation:
         """Information of training and hold-out flights."""
         return train_test_information(
             self.chosen,
@@ -293,11 +293,13 @@ class HoldOutTest:
         if any(v is not None and v.gap == "grew" for v in (*verdicts.values(), joint)):
             # Where the test contradicts an effect, the training flights' errors count as well.
             verdicts = {
-                k: with_parameter_uncertainty(v, self.both_sides, rivals[k][1], evaluation, keys, k)
+                k: with_parameter_uncertainty(
+                    v, self.train_and_test, rivals[k][1], evaluation, keys, k
+                )
                 for k, v in verdicts.items()
             }
             joint = joint and with_parameter_uncertainty(
-                joint, self.both_sides, self.test_before, evaluation, keys
+                joint, self.train_and_test, self.test_before, evaluation, keys
             )
         worst = min(verdicts, key=lambda k: verdicts[k].z)
         if verdicts[worst].gap != "grew" and joint is not None and joint.gap == "grew":
@@ -322,21 +324,21 @@ class HoldOutTest:
         return min(invisible, key=lambda k: verdicts[k].z)
 
     def _before_and_after(
-        self, remaining: SearchResult, side: Dataset, before: Evaluation, after: Evaluation
+        self, remaining: SearchResult, dataset: Dataset, before: Evaluation, after: Evaluation
     ) -> EvaluatedDataset:
         """Return the evaluations before and after, in turbulence with replays."""
 
         def completed(model: SearchResult, evaluation: Evaluation) -> Evaluation:
             """Return an evaluation with replays."""
-            if side.estimator.uses_replays:
+            if dataset.estimator.uses_replays:
                 return evaluation
             aircraft, values = flown_as(model, self.chosen, self.complete, self.write)
             point = point_as_written(model, values)
-            return with_replays(evaluation, aircraft, side, self.pool, point)
+            return with_replays(evaluation, aircraft, dataset, self.pool, point)
 
         first = completed(without_effects(self.chosen), before)
         last = first if after is before else completed(remaining, after)
-        return EvaluatedDataset(side, first, last)
+        return EvaluatedDataset(dataset, first, last)
 
 
 # Two models on the same flights.
@@ -415,8 +417,8 @@ class TrainTestInformation:
         flights' correction for colour.
         """
         names = [*self.result.names, *keys]
-        sides = zip((self.train, self.test), self.values, strict=True)
-        parts = [marginal_information(i, names, values) for i, values in sides]
+        pairs = zip((self.train, self.test), self.values, strict=True)
+        parts = [marginal_information(i, names, values) for i, values in pairs]
         G, h = (np.sum(part, axis=0) for part in zip(*parts, strict=True))
         k, unit = names.index(key), np.eye(len(names))
         value, variance = solve(G, h[:, None])[k, 0], solve(G, unit)[k, k]
@@ -446,7 +448,7 @@ def train_test_information(
     evaluation: Evaluation,
     pool: Processes,
 ) -> TrainTestInformation:
-    """Return the information of both sides.
+    """Return the information of training and hold-out flights.
 
     Parameters
     ----------
@@ -478,7 +480,7 @@ def train_test_information(
 
 def with_parameter_uncertainty(
     verdict: Verdict,
-    sides: TrainTestInformation,
+    train_and_test: TrainTestInformation,
     rival: Evaluation,
     after: Evaluation,
     keys: Sequence[str],
@@ -492,15 +494,19 @@ def with_parameter_uncertainty(
     differences = [a - b for a, b in zip(rival.white, after.white, strict=True)]
     # The effect's error is in both terms of the change, and to the first order in neither.
     other_keys = [k for k in keys if key is not None and k != key]
-    std = float(np.hypot(verdict.std, np.sqrt(sides.variance(differences, other_keys))))
-    excess_t2 = np.inf if key is None else sides.t(key, keys) ** 2 - sides.result.critical_t**2
+    std = float(np.hypot(verdict.std, np.sqrt(train_and_test.variance(differences, other_keys))))
+    excess_t2 = (
+        np.inf
+        if key is None
+        else train_and_test.t(key, keys) ** 2 - train_and_test.result.critical_t**2
+    )
     return replace(verdict, std=std, excess_t2=excess_t2)
 
 
 def linearise_as_written(
     result: SearchResult,
     aircraft: Aircraft,
-    side: Dataset,
+    dataset: Dataset,
     data: FlightData,
     trajectory: Trajectory,
     pool: Processes,
@@ -514,7 +520,7 @@ def linearise_as_written(
     with stage_models(aircraft, data) as models:
         data = with_jumping_flights(with_sensors_of(data, aircraft), models.model)
         about = replace(trajectory, point=point)
-        return side.estimator.linearise(models, data, about, result.names, pool)
+        return dataset.estimator.linearise(models, data, about, result.names, pool)
 
 
 # Models with some of the chosen effects.
@@ -664,7 +670,7 @@ def refit_remaining(
     withdrawn = effects.keys() - values.keys()
     with stage_models(complete, data) as models:
         linear = replay_at(models.model, data, point, pool)
-        fit = fit_output_error(models.model, data, point, names, bounds, pool, withdrawn)
+        fit = fit_output_error(models.model, data, point, names, bounds, pool, absent=withdrawn)
     if fit is None or fit.cost > linear.cost:
         return model
     remaining = carried_effects(data).keys() & values.keys()

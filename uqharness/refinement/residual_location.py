@@ -74,7 +74,7 @@ class Series:
 
 
 def place_of(
-    outcome: HoldOutResult,
+    hold_out: HoldOutResult,
     channels: Mapping[str, Sequence[str]],
     keys: Sequence[str],
     controls: Sequence[FloatArray],
@@ -83,7 +83,7 @@ def place_of(
 
     Parameters
     ----------
-    outcome : HoldOutResult
+    hold_out : HoldOutResult
     channels : mapping
         "train" and "test" to the channels whose residuals exceed their noise or are coloured.
     keys : sequence of str
@@ -92,18 +92,18 @@ def place_of(
     controls : sequence of array
         Control positions in every training segment.
     """
-    train, test = outcome.train, outcome.test
+    train, test = hold_out.train, hold_out.test
     series = series_of("train", train.data, train.after, controls)
     series += series_of("test", test.data, test.after, [s.controls for s in test.data.segments])
-    nearest = Nearest(outcome.result)
+    nearest = Nearest(hold_out.result)
     if any(channels.values()):
         place, correlate = locate_burst([s for s in series if s.channel in channels[s.flights]])
     else:
         place, correlate = _place_of_candidate(
             nearest, [s for s in series if s.flights == "train"], keys[0]
         )
-    candidates, current_rms = nearest.leaving(place["channel"], {c.key for c in outcome.withdrawn})
-    effects = [outcome.result.effects[k] for k, _, _ in candidates]
+    candidates, current_rms = nearest.leaving(place["channel"], {c.key for c in hold_out.withdrawn})
+    effects = [hold_out.result.effects[k] for k, _, _ in candidates]
     parts = {
         "channel_on_train": current_rms,
         "candidates": [

@@ -150,14 +150,14 @@ def _with_forecast(callback: Callback, forecast: Forecast) -> Callback:
     return stage
 
 
-def refine(request: Job, callback: Callback = silent) -> Refinement:
+def refine(job: Job, callback: Callback = silent) -> Refinement:
     """Find missing effects, write them into the aircraft and test them.
 
     Raises BadInputError.
     """
-    forecast = Forecast(request.options.expected_s())
+    forecast = Forecast(job.options.expected_s())
     with forecast_shown(forecast):
-        return _refine(request, _with_forecast(callback, forecast), forecast)
+        return _refine(job, _with_forecast(callback, forecast), forecast)
 
 
 def _refine(job: Job, callback: Callback, forecast: Forecast) -> Refinement:
@@ -170,31 +170,31 @@ def _refine(job: Job, callback: Callback, forecast: Forecast) -> Refinement:
 
         campaign_for(job.aircraft, job.options.campaign)
     callback("reading the flights")
-    request, train_read, test_read = _read_both(job, callback)
+    job, train_read, test_read = _read_both(job, callback)
     times = [f.record["time_s"] for f in (*train_read.flights, *test_read.flights)]
-    forecast.expect(request.options.expected_s(float(sum(t[-1] - t[0] for t in times))))
-    identity = _identity(request)
-    stages = Stages(request.out / STAGES_FOLDER, identity)
+    forecast.expect(job.options.expected_s(float(sum(t[-1] - t[0] for t in times))))
+    identity = _identity(job)
+    stages = Stages(job.out / STAGES_FOLDER, identity)
     # The stages of the test are kept if a mission follows, which takes minutes.
-    kept_stages = Stages(
-        request.out / STAGES_FOLDER if request.options.pbox else None,
+    hold_out_stages = Stages(
+        job.out / STAGES_FOLDER if job.options.pbox else None,
         [*identity, *test_read.hashes],
     )
-    with worker_map(request.options.workers) as pool, scratch_folder() as scratch:
-        write = _writer(request, scratch.path / "models")
+    with worker_map(job.options.workers) as pool, scratch_folder() as scratch:
+        write = _writer(job, scratch.path / "models")
         # 2. Search for effects on the training flights, and correct the controls' time in all.
-        data = _flight_data(request.aircraft, train_read)
+        data = _flight_data(job.aircraft, train_read)
         selected = stages(
             "effects",
             SearchResult,
             lambda: find_effects(
-                request.aircraft,
+                job.aircraft,
                 data,
-                request.extra,
+                job.extra,
                 scratch.path / "effects",
-                pool,
-                callback,
-                stages,
+                pool=pool,
+                callback=callback,
+                stages=stages,
             ),
         )
         train, test = (
@@ -202,95 +202,107 @@ def _refine(job: Job, callback: Callback, forecast: Forecast) -> Refinement:
             for s in (train_read, test_read)
         )
         # 3. Name those that are clear beside what stays unexplained.
-        train_side = _dataset(request, selected, train)
-        with_all = _with_all_effects(request, selected, scratch.path / "chosen")
-        chosen = drop_unclear_effects(selected, train_side, with_all, pool)
+        train_dataset = _dataset(job, selected, train)
+        with_all = _with_all_effects(job, selected, scratch.path / "chosen")
+        chosen = drop_unclear_effects(selected, train_dataset, with_all, pool)
         complete = (
             with_all
             if chosen.selection.chosen == selected.selection.chosen
-            else _with_all_effects(request, chosen, scratch.path / "named")
+            else _with_all_effects(job, chosen, scratch.path / "named")
         )
         # 4. Test them on the hold-out flights.
         callback("simulating the hold-out flights with both models")
-        outcome = kept_stages(
+        hold_out = hold_out_stages(
             "judged",
             HoldOutResult,
-            lambda: _hold_out_test(request, chosen, complete, write, train_side, test, pool),
+            lambda: _hold_out_test(
+                job,
+                chosen,
+                complete,
+                write,
+                train_dataset=train_dataset,
+                test=test,
+                pool=pool,
+            ),
         )
         # 5. Write the aircraft, and the one without effects beside it.
         callback("writing the aircraft")
-        earlier_damage = checksums.remove_sums(request.out)
-        placed = _place(write(outcome.result), request.aircraft, request.out)
-        baked = bake_scales(placed.folder) if request.options.bake else None
+        earlier_damage = checksums.remove_sums(job.out)
+        placed = _place(write(hold_out.result), job.aircraft, job.out)
+        baked = bake_scales(placed.folder) if job.options.bake else None
         target = placed if baked is None else find_aircraft(placed.folder)
-        searches = {"before": without_effects(chosen), "after": outcome.result}
-        if outcome.result.selection.chosen:
-            before = _place(write(searches["before"]), request.aircraft, request.out / "before")
+        searches = {"before": without_effects(chosen), "after": hold_out.result}
+        if hold_out.result.selection.chosen:
+            before = _place(write(searches["before"]), job.aircraft, job.out / "before")
             models = {"before": before, "after": target}
         else:
             # One model is both.
-            models, searches = {"before": target}, {"before": outcome.result}
-            _remove_stale(request.out, request.aircraft)
+            models, searches = {"before": target}, {"before": hold_out.result}
+            _remove_stale(job.out, job.aircraft)
         # 6. Intervals of the coefficients' errors, of both models.
         callback("intervals of both models")
         jobs = [
-            _interval_job(request, searches[name], model_aircraft, chosen, complete, train, test)
+            _interval_job(
+                job, searches[name], model_aircraft, chosen, complete, train=train, test=test
+            )
             for name, model_aircraft in models.items()
         ]
-        intervals = kept_stages(
+        intervals = hold_out_stages(
             "intervals", list[Intervals], lambda: list(pool(fit_intervals, jobs))
         )
         # 7. What remains.
-        with stage_models(request.aircraft, train_side.data) as staged:
-            controls = positions(staged.model, train_side.data)
-        document = document_of(chosen, outcome, request.aircraft, controls)
-        smooth, reason = _smooth_term(request, document, outcome, write, pool, callback)
+        with stage_models(job.aircraft, train_dataset.data) as staged:
+            controls = positions(staged.model, train_dataset.data)
+        document = document_of(chosen, hold_out, job.aircraft, controls)
+        smooth, reason = _smooth_term(job, document, hold_out, write, pool, callback)
         remaining = document.remaining.model_copy(
             update={"smooth": smooth, "smooth_reason": reason}
         )
         parts: dict[str, Any] = {"remaining": remaining}
     # 8. Fly the mission with both models.
-    forms = write_forms(dict(zip(models, intervals, strict=True)), request.out)
-    mission = _mission(request, models, forms, callback)
+    forms = write_forms(dict(zip(models, intervals, strict=True)), job.out)
+    mission = _mission(job, models, forms, callback)
     stages.remove()
     parts["seconds"] = round(time.perf_counter() - start_s, 1)
     if baked is not None:
         changed: dict[str, list[float | None]] = {n: [*v] for n, v in baked.changed.items()}
         parts["baked"] = Baked(changed=changed, kept=list(baked.remaining))
-    final = _complete(request, document, intervals, mission, parts)
-    return Refinement(final, chosen, outcome, target, request.aircraft, earlier_damage)
+    final = _complete(job, document, intervals, mission, parts)
+    return Refinement(final, chosen, hold_out, target, job.aircraft, earlier_damage)
 
 
 def _hold_out_test(
-    request: Job,
+    job: Job,
     chosen: SearchResult,
     complete: Aircraft,
     write: Write,
-    train_side: Dataset,
+    *,
+    train_dataset: Dataset,
     test: FlightSet,
     pool: Processes,
 ) -> HoldOutResult:
     """Test the selected effects on the hold-out flights, whose air is their own."""
-    test_side = _dataset(request, chosen, test)
+    test_dataset = _dataset(job, chosen, test)
     if not chosen.estimator.uses_replays:
         point = point_as_written(chosen)
-        air = chosen.estimator.air_of(write(chosen), test_side.data, point, pool)
-        test_side = replace(test_side, turbulence=air)
-    return HoldOutTest(chosen, complete, write, train_side, test_side, pool).run()
+        air = chosen.estimator.turbulence_of(write(chosen), test_dataset.data, point, pool)
+        test_dataset = replace(test_dataset, turbulence=air)
+    return HoldOutTest(chosen, complete, write, train_dataset, test_dataset, pool).run()
 
 
 def _interval_job(
-    request: Job,
+    job: Job,
     model: SearchResult,
     target: Aircraft,
     chosen: SearchResult,
     complete: Aircraft,
+    *,
     train: FlightSet,
     test: FlightSet,
 ) -> IntervalJob:
     """Return the job that makes the intervals of a model, written as the aircraft ``target``."""
     aircraft_and_values = flown_as(model, chosen, complete, lambda _: target)
-    return IntervalJob(target, *aircraft_and_values, train, test, bool(request.ideal_servos))
+    return IntervalJob(target, *aircraft_and_values, train, test, bool(job.ideal_servos))
 
 
 def file_hash(path: Path) -> str:
@@ -313,49 +325,49 @@ def refuse_shared_flights(train: Sequence[Path], test: Sequence[Path]) -> None:
             )
 
 
-def _read_both(request: Job, callback: Callback) -> tuple[Job, FlightSet, FlightSet]:
+def _read_both(job: Job, callback: Callback) -> tuple[Job, FlightSet, FlightSet]:
     """Read training and hold-out flights; return them with the request and its servos.
 
     The servos are chosen on the training flights.
     """
-    train = _read(request, request.train)
-    if request.ideal_servos is None:
+    train = _read(job, job.train)
+    if job.ideal_servos is None:
         callback("servos: the card's or ideal ones")
         servos = choose_servos(
-            request.aircraft, train.flights, train.measured, "auto", request.options.workers
+            job.aircraft, train.flights, train.measured, "auto", job.options.workers
         )
-        request = replace(request, ideal_servos=servos.ideal)
+        job = replace(job, ideal_servos=servos.ideal)
         train = replace(
             train,
             flights=tuple(servos.with_note(train.flights)),
-            ideal=_ideal_controls(request, train.measured),
+            ideal=_ideal_controls(job, train.measured),
         )
-    test = _read(request, request.test)
+    test = _read(job, job.test)
     names = unique_names([f.name for f in test.flights])
     flights = tuple(replace(f, name=n) for f, n in zip(test.flights, names, strict=True))
-    return request, train, replace(test, flights=flights)
+    return job, train, replace(test, flights=flights)
 
 
-def _read(request: Job, paths: Sequence[Path]) -> FlightSet:
+def _read(job: Job, paths: Sequence[Path]) -> FlightSet:
     """Read the flights of some files."""
-    files = (*request.train, *request.test)
-    numbers = numbers_of_files(request.options.flight_number, len(files))
+    files = (*job.train, *job.test)
+    numbers = numbers_of_files(job.options.flight_number, len(files))
     first = files.index(paths[0])
     flights, measured = read_flights(
         paths,
-        request.aircraft,
-        request.options.manoeuvres,
-        request.options.signal_map,
+        job.aircraft,
+        job.options.manoeuvres,
+        job.options.signal_map,
         align=False,
         flight_numbers=[n for n in numbers[first : first + len(paths)] if n is not None],
     )
-    ideal = _ideal_controls(request, measured)
+    ideal = _ideal_controls(job, measured)
     return FlightSet(tuple(flights), tuple(measured), tuple(file_hash(p) for p in paths), ideal)
 
 
-def _ideal_controls(request: Job, measured: Sequence[str]) -> tuple[str, ...]:
+def _ideal_controls(job: Job, measured: Sequence[str]) -> tuple[str, ...]:
     """Return the controls without an actuator."""
-    return tuple(c for c in CONTROLS if c not in measured) if request.ideal_servos else ()
+    return tuple(c for c in CONTROLS if c not in measured) if job.ideal_servos else ()
 
 
 def _flight_data(aircraft: Aircraft, flights: FlightSet) -> FlightData:
@@ -363,7 +375,7 @@ def _flight_data(aircraft: Aircraft, flights: FlightSet) -> FlightData:
     return make_flight_data(aircraft, flights.flights, flights.measured, flights.ideal)
 
 
-def _identity(request: Job) -> list[str]:
+def _identity(job: Job) -> list[str]:
     """Return everything that the selection depends on.
 
     That is aircraft, training flights, the user's effects, options and version, not the hold-out
@@ -371,45 +383,45 @@ def _identity(request: Job) -> list[str]:
     """
     tables = [
         p
-        for p in (request.options.manoeuvres, request.options.signal_map)
+        for p in (job.options.manoeuvres, job.options.signal_map)
         if p is not None and str(p) != FROM_COMMANDS
     ]
     return [
         __version__,
-        content_hash(request.aircraft),
-        *(file_hash(p) for p in (*request.train, *tables)),
-        *(p.name for p in request.train),
-        repr(request.extra),
-        str(request.ideal_servos),
-        str(request.options.manoeuvres),
-        str(request.options.flight_number),
+        content_hash(job.aircraft),
+        *(file_hash(p) for p in (*job.train, *tables)),
+        *(p.name for p in job.train),
+        repr(job.extra),
+        str(job.ideal_servos),
+        str(job.options.manoeuvres),
+        str(job.options.flight_number),
     ]
 
 
-def _dataset(request: Job, chosen: SearchResult, flights: FlightSet) -> Dataset:
+def _dataset(job: Job, chosen: SearchResult, flights: FlightSet) -> Dataset:
     """Return flights in the form in which the selected effects were judged, with the training
     flights' air.
     """
-    data = _flight_data(request.aircraft, flights)
-    setup = chosen.estimator.prepare(request.aircraft, data)
-    if setup.outputs == chosen.data.outputs:
-        setup = replace(setup, noise=chosen.data.noise)
-    return Dataset(setup, chosen.turbulence)
+    data = _flight_data(job.aircraft, flights)
+    data = chosen.estimator.prepare(job.aircraft, data)
+    if data.outputs == chosen.data.outputs:
+        data = replace(data, noise=chosen.data.noise)
+    return Dataset(data, chosen.turbulence)
 
 
-def _with_all_effects(request: Job, chosen: SearchResult, folder: Path) -> Aircraft:
+def _with_all_effects(job: Job, chosen: SearchResult, folder: Path) -> Aircraft:
     """Return the aircraft with every selected effect, as the last model had it."""
     effects = [
         EffectToWrite(chosen.effects[c.key], c.value, "", chosen.slopes)
         for c in chosen.selection.chosen
     ]
-    return write_staged(request.aircraft, effects, folder)
+    return write_staged(job.aircraft, effects, folder)
 
 
 def _smooth_term(
-    request: Job,
+    job: Job,
     document: RefinementDocument,
-    outcome: HoldOutResult,
+    hold_out: HoldOutResult,
     write: Write,
     pool: Processes,
     callback: Callback,
@@ -418,35 +430,35 @@ def _smooth_term(
 
     Its aircraft is written beside the refined one. Otherwise the reason is returned.
     """
-    stale = request.out / SMOOTH_FOLDER / "aircraft" / request.aircraft.folder.name
-    if (stale / request.aircraft.card.aircraft.xml).is_file():
+    stale = job.out / SMOOTH_FOLDER / "aircraft" / job.aircraft.folder.name
+    if (stale / job.aircraft.card.aircraft.xml).is_file():
         shutil.rmtree(stale)
     if document.verdict != "unexplained":
         return None, EXPLAINED
     callback("searching the residuals for a smooth term")
-    result = find_smooth_term(outcome, write, pool)
+    result = find_smooth_term(hold_out, write, pool)
     if isinstance(result, str):
         return None, result
     aircraft, smooth = result
-    placed = _place(aircraft, request.aircraft, request.out / SMOOTH_FOLDER)
+    placed = _place(aircraft, job.aircraft, job.out / SMOOTH_FOLDER)
     model = f"{SMOOTH_FOLDER}/aircraft/{placed.folder.name}/{placed.card.aircraft.xml}"
     return smooth.model_copy(update={"model": model}), None
 
 
-def _writer(request: Job, folder: Path) -> Write:
+def _writer(job: Job, folder: Path) -> Write:
     """Return a function that writes the original aircraft with the effects and parameters of a
     model.
 
     It uses a new numbered folder of ``folder`` each time.
     """
-    aircraft, names, number = request.aircraft, [p.name for p in request.train], count()
+    aircraft, names, number = job.aircraft, [p.name for p in job.train], count()
 
     def write(result: SearchResult) -> Aircraft:
         """Write the aircraft of a model."""
         fdm = open_aircraft(aircraft)
         initial = {n: float(fdm[n]) for n in result.names}
         estimates = parameter_estimates(result, names, initial)
-        command = shlex.join(request.command)
+        command = shlex.join(job.command)
         effects = [
             EffectToWrite(
                 result.effects[c.key],
@@ -491,10 +503,10 @@ def _remove_stale(out: Path, aircraft: Aircraft) -> None:
 
 
 def _mission(
-    request: Job, models: Mapping[str, Aircraft], forms: Mapping[str, Path], callback: Callback
+    job: Job, models: Mapping[str, Aircraft], forms: Mapping[str, Path], callback: Callback
 ) -> Mission:
     """Return the mission's p-boxes, or the reason why there are none."""
-    if not request.options.pbox:
+    if not job.options.pbox:
         return no_pbox("omitted (--no-pbox)")
     lacking = [name for name in models if name not in forms]
     if lacking:
@@ -503,13 +515,11 @@ def _mission(
     from uqharness.refinement.mission import fly_missions
 
     callback("simulating the mission with both models")
-    return fly_missions(
-        models, forms, request.options.campaign, request.out, request.options.workers, callback
-    )
+    return fly_missions(models, forms, job.options.campaign, job.out, job.options.workers, callback)
 
 
 def _complete(
-    request: Job,
+    job: Job,
     document: RefinementDocument,
     intervals: Sequence[Intervals],
     mission: Mission,
@@ -527,11 +537,11 @@ def _complete(
         update={
             "gap": gap,
             "model": "/".join(
-                ("aircraft", request.aircraft.folder.name, request.aircraft.card.aircraft.xml)
+                ("aircraft", job.aircraft.folder.name, job.aircraft.card.aircraft.xml)
             ),
-            "train": [p.name for p in request.train],
-            "test": [p.name for p in request.test],
-            "command": shlex.join(request.command),
+            "train": [p.name for p in job.train],
+            "test": [p.name for p in job.test],
+            "command": shlex.join(job.command),
             **parts,
         }
     )

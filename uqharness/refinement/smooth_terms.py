@@ -314,13 +314,13 @@ class _FlownTerm:
 
 
 def find_smooth_term(
-    outcome: HoldOutResult, write: Write, pool: Processes
+    hold_out: HoldOutResult, write: Write, pool: Processes
 ) -> tuple[Aircraft, SmoothTermDocument] | str:
     """Return the aircraft with the smooth term that explains most of the residuals, and the term's
     part of refinement.json; or the reason why there is none.
     """
-    train, test = outcome.train.dataset, outcome.test.dataset
-    result = outcome.result
+    train, test = hold_out.train.dataset, hold_out.test.dataset
+    result = hold_out.result
     curves = CurveFits(result, result.after)
     # Every state in every coefficient.
     fits = [f for c in COEFFICIENTS for f in curves.fit_each(curves.terms(c))]
@@ -349,16 +349,16 @@ def find_smooth_term(
         return f"no smooth term explains more than the best of the {len(fits)} tried does by chance"
     estimate, aircraft, on_train = flown_term.estimate, flown_term.aircraft, flown_term.evaluation
     fit, term = estimate.fit, estimate.fit.term
-    if not on_train.neg2_log_likelihood < outcome.train.after.neg2_log_likelihood:
+    if not on_train.neg2_log_likelihood < hold_out.train.after.neg2_log_likelihood:
         return f"a {term.name} does not lower the error of the simulation"
     # The same on the hold-out flights.
-    start = point_as_written(estimate.result, initial=outcome.test.after.trajectory.point)
+    start = point_as_written(estimate.result, initial=hold_out.test.after.trajectory.point)
     on_test = evaluate(aircraft, test, pool, start)
-    verdict = compare(outcome.test.after, on_test, test.data, on_train)
+    verdict = compare(hold_out.test.after, on_test, test.data, on_train)
     if verdict.gap == "grew":
         return f"the hold-out residuals grew with a {term.name}"
     tables = {}
-    for key, side, after in (("train", outcome.train, on_train), ("test", outcome.test, on_test)):
+    for key, side, after in (("train", hold_out.train, on_train), ("test", hold_out.test, on_test)):
         if side.after.replays is not None:
             point = point_as_written(estimate.result)
             after = with_replays(after, aircraft, side.dataset, pool, point)

@@ -108,8 +108,8 @@ def found_in(
         NOISE,
         [22.0] * 4,
         ["a"] * 2 + ["b"] * 2,
-        GustStates(MASS.b),
-        close,
+        states=GustStates(MASS.b),
+        initial=close,
         psi_rad=headings,
     )[0]
 
@@ -245,8 +245,8 @@ def test_noise_that_is_half_of_what_is_stated_is_found_beside_the_gusts():
             noise,
             [22.0] * 4,
             ["a"] * 4,
-            GustStates(MASS.b),
-            close,
+            states=GustStates(MASS.b),
+            initial=close,
             kinds=kinds,
         )
 
@@ -359,8 +359,8 @@ def test_the_air_of_a_flight_alone_is_the_likeliest_from_wherever_it_is_sought()
             NOISE,
             [22.0] * 4,
             ["a"] * 4,
-            GustStates(MASS.b),
-            close,
+            states=GustStates(MASS.b),
+            initial=close,
         )
         return air
 

@@ -36,6 +36,6 @@ def test_effects_in_calm_air_are_no_gusts(effects, w20_kt, estimator, tmp_path, 
     flights, measured = read_flights(paths, aircraft, align=False)
     data = make_flight_data(aircraft, flights, measured, ())
     baseline = effect_search.fit_baseline(
-        aircraft, data, (), [], SERIAL, lambda _: None, Stages(None, ())
+        aircraft, data, (), [], pool=SERIAL, callback=lambda _: None, stages=Stages(None, ())
     )
     assert isinstance(baseline.context.estimator, estimator)

@@ -46,7 +46,7 @@ def test_parameters_and_start_states_move_with_the_effects():
     )
     context = SimpleNamespace(
         data=SimpleNamespace(active=(), carriers={}, nuisance=(), jumping=()),
-        baseline=SimpleNamespace(trajectory=SimpleNamespace(point=plain)),
+        baseline_fit=SimpleNamespace(trajectory=SimpleNamespace(point=plain)),
         free=["aero/a"],
         limits={},
     )

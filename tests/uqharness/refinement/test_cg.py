@@ -24,7 +24,7 @@ from uqharness.identification.linearised import (
     effect_columns,
     make_flight_data,
     positions,
-    probes,
+    probe_trajectory,
     stage_models,
     with_sensors_of,
 )
@@ -69,7 +69,7 @@ def along_axis(
             values, dict.fromkeys(setup.nuisance, 0.0), tuple(s.start for s in setup.segments)
         )
         trajectory = replayed(models.model, setup, point, SERIAL)
-        result = probes(
+        result = probe_trajectory(
             models.direct_model, setup, trajectory, positions(models.model, setup), SERIAL
         )
         return trajectory, [

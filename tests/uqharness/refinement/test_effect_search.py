@@ -79,7 +79,7 @@ def test_an_effect_below_the_limit_stays_out_and_the_criterion_decides():
     assert 3.5 < t < OVERWHELMING_T
     assert search(truth, critical_t=1.05 * t).model.keys == set()
     context, _ = truth.context(3.5)
-    assert listed.model.criterion < context.cost
+    assert listed.model.criterion < context.baseline_cost
     assert listed.model.criterion == pytest.approx(
         listed.model.fit.trajectory.cost
         + 0.6 * 3.5**2

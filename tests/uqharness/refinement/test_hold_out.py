@@ -259,7 +259,7 @@ class LinearHoldOut(HoldOutTest):
         return remaining
 
     @property
-    def both_sides(self):
+    def train_and_test(self):
         values, effects = estimates(self.chosen), self.chosen.selection.values
         sides = [
             flights.linearise(values, [*values]).without_values(effects)
@@ -308,7 +308,7 @@ def result_of(flights: LinearFlights, keys: Sequence[str]) -> SearchResult:
     return SearchResult(
         setup,
         tuple(PARAMETERS),
-        context.baseline,
+        context.baseline_fit,
         model.fit,
         Selection(tuple(chosen)),
         context.effects,

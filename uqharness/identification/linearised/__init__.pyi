@@ -50,7 +50,7 @@ from .replay_fit import observations_of as observations_of
 from .replay_fit import one_step_estimates as one_step_estimates
 from .replay_fit import point_of as point_of
 from .replay_fit import positions as positions
-from .replay_fit import probes as probes
+from .replay_fit import probe_trajectory as probe_trajectory
 from .replay_fit import refit as refit
 from .replay_fit import replay_at as replay_at
 from .replay_fit import step_starts as step_starts

@@ -353,9 +353,10 @@ def _interpolate(coarse: NDArray[np.intp], n: int, values: FloatArray) -> FloatA
 def with_property_slopes(
     direct_model: ReplayModel,
     segments: Sequence[Segment],
-    linear_probes: Sequence[Probe],
+    probes: Sequence[Probe],
     names: Sequence[str],
     values: Mapping[str, float],
+    *,
     analytic: tuple[str, ...] | None,
     pool: Processes,
 ) -> tuple[list[Probe], tuple[str, ...]]:
@@ -378,28 +379,27 @@ def with_property_slopes(
     analytic : tuple of str
     """
     if analytic is None:
-        analytic = tuple(analytic_terms(direct_model, segments[0], linear_probes[0], names, values))
+        analytic = tuple(analytic_terms(direct_model, segments[0], probes[0], names, values))
     numeric = [n for n in names if n not in analytic]
     if not numeric:
-        return list(linear_probes), analytic
-    rows = [_coarse(len(p.x)) for p in linear_probes]
+        return list(probes), analytic
+    rows = [_coarse(len(p.x)) for p in probes]
     parts = [
-        _states_of(direct_model, s, p, k)
-        for s, p, k in zip(segments, linear_probes, rows, strict=True)
+        _states_of(direct_model, s, p, k) for s, p, k in zip(segments, probes, rows, strict=True)
     ]
     slopes = property_slopes(direct_model, parts, values, numeric, pool)
     coarse = [
         of_part / _scale_at_x(p)[k, None]
-        for p, k, of_part in zip(linear_probes, rows, slopes, strict=True)
+        for p, k, of_part in zip(probes, rows, slopes, strict=True)
     ]
-    features = _polynomials(linear_probes, rows)
+    features = _polynomials(probes, rows)
     smooth, values_there = (
         np.concatenate([f[k] for f, k in zip(features, rows, strict=True)]),
         np.concatenate(coarse).reshape(-1, 6 * len(numeric)),
     )
     weights = np.linalg.lstsq(smooth, values_there, rcond=1e-8)[0]
     out = []
-    for p, k, f, v in zip(linear_probes, rows, features, coarse, strict=True):
+    for p, k, f, v in zip(probes, rows, features, coarse, strict=True):
         remainder = v - (f[k] @ weights).reshape(v.shape)
         every = (f @ weights).reshape(-1, *v.shape[1:]) + _interpolate(k, len(p.x), remainder)
         out.append(replace(p, by_property={n: every[:, i] for i, n in enumerate(numeric)}))
@@ -420,13 +420,11 @@ def _scale_at_x(p: Probe) -> FloatArray:
     return p.scale * (p.x[:, :1] / p.reference.x[:, :1]) ** 2
 
 
-def _polynomials(
-    linear_probes: Sequence[Probe], rows: Sequence[NDArray[np.intp]]
-) -> list[FloatArray]:
+def _polynomials(probes: Sequence[Probe], rows: Sequence[NDArray[np.intp]]) -> list[FloatArray]:
     """Return features (n, f) of every row of each probe: a constant, air data, rates and controls,
     and their products if there are three ``rows`` for each feature.
     """
-    pieces = [np.hstack([p.x[:, : len(AIR)], p.controls]) for p in linear_probes]
+    pieces = [np.hstack([p.x[:, : len(AIR)], p.controls]) for p in probes]
     stacked = np.concatenate(pieces)
     std = stacked.std(axis=0)
     moving = std > 1e-9
@@ -975,7 +973,7 @@ def load_deviations(
     direct_model: ReplayModel,
     data: FlightData,
     trajectory: Trajectory,
-    linear_probes: Sequence[Probe],
+    probes: Sequence[Probe],
     offsets: Sequence[FloatArray],
     pool: Processes,
 ) -> list[FloatArray]:
@@ -987,7 +985,7 @@ def load_deviations(
     """
     requests = []
     for segment, p, height, (middle, end) in zip(
-        data.segments, linear_probes, trajectory.height, offsets, strict=True
+        data.segments, probes, trajectory.height, offsets, strict=True
     ):
         x, u, h = (
             np.concatenate([0.5 * (v[:-1] + v[1:]), v[1:]])
@@ -1004,7 +1002,7 @@ def load_deviations(
         )
     out = []
     for p, forced in zip(
-        linear_probes,
+        probes,
         force_all(direct_model, requests, data.properties(trajectory.point), pool),
         strict=True,
     ):
@@ -1033,6 +1031,7 @@ def with_sensor_errors(
     data: FlightData,
     segment: Segment,
     point: ModelState,
+    *,
     shifted_rows: Mapping[str, int] | None = None,
     between: FloatArray | None = None,
     behind: FloatArray | None = None,

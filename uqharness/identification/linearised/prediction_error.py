@@ -64,7 +64,7 @@ from uqharness.identification.linearised.replay_fit import (
     apply_step,
     parameter_columns,
     positions,
-    probes,
+    probe_trajectory,
     slopes_of,
     step_from,
     steps_of,
@@ -183,10 +183,10 @@ def predict(
     shifted, shares = data_about_delay(model, data, point)
     controls = _between([positions(model, acts, point) for acts in shifted], shares)
     offsets = _between([path_deviations(model, acts, point) for acts in shifted], shares)
-    linear_probes = probes(direct_model, data, trajectory, controls, pool, consistent=False)
+    probes = probe_trajectory(direct_model, data, trajectory, controls, pool, consistent=False)
     curved = zip(
-        linear_probes,
-        load_deviations(direct_model, data, trajectory, linear_probes, offsets, pool),
+        probes,
+        load_deviations(direct_model, data, trajectory, probes, offsets, pool),
         offsets,
         strict=True,
     )
@@ -244,7 +244,8 @@ def gust_refit(
     names: Sequence[str],
     limits: Mapping[str, tuple[float, float]],
     pool: Processes,
-    initial_turbulence: TurbulenceModel | None = None,
+    *,
+    turbulence: TurbulenceModel | None = None,
     iterations: int = ITERATIONS,
     tune: bool = False,
     fixed_air: bool = False,
@@ -264,13 +265,13 @@ def gust_refit(
         Estimated properties and active effects.
     limits : mapping
         Limits of properties.
-    initial_turbulence : TurbulenceModel, optional
+    turbulence : TurbulenceModel, optional
         First values of the air.
     tune : bool
         Estimate the sensors' noise as well. It has no effect on an autopilot's log, whose
         attitudes are filtered.
     fixed_air : bool
-        Keep ``initial_turbulence``.
+        Keep ``turbulence``.
     initial : mapping, optional
         Values of the model before any fit: a second start where the air is unknown.
     callback : callable, optional
@@ -283,8 +284,8 @@ def gust_refit(
     """
     data = with_jumping_flights(data, models.model)
     tune = tune and not data.late
-    at = _Iterate(data, start, initial_turbulence)
-    if initial_turbulence is None:
+    at = _Iterate(data, start, turbulence)
+    if turbulence is None:
         starts = _starts(data, start, initial)
         if len(starts) > 1:
             at = likeliest_start(models, data, starts, pool, tune=tune)
@@ -421,8 +422,8 @@ def _evaluate(
         predicted_probes,
         [n for n in names if n not in active],
         data.properties(at.point),
-        at.analytic,
-        pool,
+        analytic=at.analytic,
+        pool=pool,
     )
     columns = parameter_columns(data, sloped_probes, prediction, names, analytic)
     # 5. Colour of the innovations, normal equations and step.
@@ -528,8 +529,8 @@ def unfiltered_residuals(
 
     Residuals are measured outputs minus the model's at the measured states, (n, m) per segment.
     """
-    trajectory, linear_probes = predict(models, data, point, pool)
-    steps = _LinearSystems(data, trajectory, linear_probes, pool)
+    trajectory, probes = predict(models, data, point, pool)
+    steps = _LinearSystems(data, trajectory, probes, pool)
     pairs = zip(steps.measured, steps.all(turbulence.states), strict=True)
     return trajectory, [(z - s.y_ref[:, data.output_rows]) / data.noise for z, s in pairs]
 
@@ -637,7 +638,7 @@ class _LinearSystems:
                 self._behind(self.probes[k], s, y, active, np.array(part)) if any(part) else None
             )
             s.y_ref[:, which] = with_sensor_errors(
-                y, self.data, segment, point, rows, behind=behind
+                y, self.data, segment, point, shifted_rows=rows, behind=behind
             )
             self.systems[k, active] = (
                 replace(s, H=output_matrix_between_rows(s, which, part)) if any(part) else s
@@ -742,32 +743,32 @@ def mean_heading(channels: Mapping[str, FloatArray]) -> float:
 
 
 def _estimate_turbulence(
-    data: FlightData, steps: _LinearSystems, initial_turbulence: TurbulenceModel | None, tune: bool
+    data: FlightData, systems: _LinearSystems, initial: TurbulenceModel | None, tune: bool
 ) -> tuple[TurbulenceModel, FloatArray]:
     """Return the likeliest air, and factors (m,) on the sensors' noise (1 unless ``tune``)."""
-    speeds = [float(x[:, 0].mean()) for x in steps.trajectory.x]
+    speeds = [float(x[:, 0].mean()) for x in systems.trajectory.x]
     of = [s.flight for s in data.segments]
-    states = GustStates(steps.probes[0].mass.b)
+    states = GustStates(systems.probes[0].mass.b)
     kinds = [_KINDS.get(c.split("_")[0], c) for c in data.outputs] if tune else ()
     return estimate_turbulence(
-        steps,
-        steps.measured,
+        systems,
+        systems.measured,
         data.output_rows,
         data.noise,
         speeds,
         of,
-        states,
-        initial_turbulence,
-        steps.pool,
-        kinds,
-        [mean_heading(c) for c in data.channels],
+        states=states,
+        initial=initial,
+        pool=systems.pool,
+        kinds=kinds,
+        psi_rad=[mean_heading(c) for c in data.channels],
     )
 
 
 def at_predictions(
     data: FlightData,
     trajectory: Trajectory,
-    linear_probes: Sequence[Probe],
+    probes: Sequence[Probe],
     steps: Sequence[Steps],
     followed: Sequence[FilteredSegment],
     turbulence: TurbulenceModel,
@@ -780,7 +781,7 @@ def at_predictions(
     """
     out, outputs = [], []
     for p, s, d, states in zip(
-        linear_probes,
+        probes,
         steps,
         (one.innovations_only.path for one in followed),
         turbulence.states,

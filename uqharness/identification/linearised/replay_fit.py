@@ -141,7 +141,7 @@ def positions(
     )
 
 
-def probes(
+def probe_trajectory(
     direct_model: ReplayModel,
     data: FlightData,
     trajectory: Trajectory,
@@ -165,9 +165,9 @@ def probes(
     return probe_all(jobs, pool)
 
 
-def slopes_of(linear_probes: Sequence[Probe], pool: Processes = SERIAL) -> list[RigidSlopes]:
+def slopes_of(probes: Sequence[Probe], pool: Processes = SERIAL) -> list[RigidSlopes]:
     """Return the rigid body's equations linearised along the segments, for air of any kind."""
-    return list(pool(_rigid_slopes, [(p.reference, p.mass) for p in linear_probes]))
+    return list(pool(_rigid_slopes, [(p.reference, p.mass) for p in probes]))
 
 
 def _rigid_slopes(job: tuple[Reference, MassProperties]) -> RigidSlopes:
@@ -207,7 +207,7 @@ def _with_gusts(job: tuple[RigidSlopes, GustStates | None]) -> Steps:
 
 def parameter_columns(
     data: FlightData,
-    linear_probes: Sequence[Probe],
+    probes: Sequence[Probe],
     trajectory: Trajectory,
     names: Sequence[str],
     analytic: Sequence[str],
@@ -219,9 +219,9 @@ def parameter_columns(
     active = [e for e in data.active if e.key in names]
     properties = [n for n in names if n not in {e.key for e in active}]
     gain = [sensor_gain(c, trajectory.point) for c in data.outputs]
-    effect_regressors = effect_columns(data, linear_probes, trajectory, active)
+    effect_regressors = effect_columns(data, probes, trajectory, active)
     for segment, p, y, effects in zip(
-        data.segments, linear_probes, trajectory.outputs, effect_regressors, strict=True
+        data.segments, probes, trajectory.outputs, effect_regressors, strict=True
     ):
         # At a jump of a surface a row has loads before and after it, and accelerometer readings
         # that lack a share of it.
@@ -407,28 +407,28 @@ def fit_at(
         trajectory.point,
         [n for n in names if n not in {e.key for e in data.active}],
     )
-    linear_probes = probes(direct_model, data, trajectory, positions(model, data, point), pool)
-    linear_probes, analytic = with_property_slopes(
+    probes = probe_trajectory(direct_model, data, trajectory, positions(model, data, point), pool)
+    probes, analytic = with_property_slopes(
         direct_model,
         data.segments,
-        linear_probes,
+        probes,
         properties,
         data.properties(point),
-        analytic,
-        pool,
+        analytic=analytic,
+        pool=pool,
     )
     if data.jumping:
-        linear_probes = [
+        probes = [
             replace(p, jumped=control_jumps(a))
-            for p, a in zip(linear_probes, path_deviations(model, data, point), strict=True)
+            for p, a in zip(probes, path_deviations(model, data, point), strict=True)
         ]
-    steps = steps_of(slopes_of(linear_probes, pool), [None] * len(linear_probes), data, point, pool)
+    steps = steps_of(slopes_of(probes, pool), [None] * len(probes), data, point, pool)
     for s, y in zip(steps, trajectory.outputs, strict=True):
         s.y_ref[:, data.output_rows] = y
-    columns = parameter_columns(data, linear_probes, trajectory, names, analytic)
+    columns = parameter_columns(data, probes, trajectory, names, analytic)
     white = whiten(steps, data.measured, columns, data.output_rows, data.noise)
     information = normal_equations(white, columns[0].names, [0] * len(white), PRIOR)
-    return Linearisation(trajectory, linear_probes, steps, columns, information, analytic)
+    return Linearisation(trajectory, probes, steps, columns, information, analytic)
 
 
 def step_starts(

@@ -113,7 +113,12 @@ def test_a_late_sensor_is_compared_with_what_it_was_to_measure():
     assert late == {"V_mps": 0, "alpha_rad": 5, "ax_mps2": 0}
     (z,) = aligned_outputs(setup, present)
     model = with_sensor_errors(
-        truth.copy(), setup, segment, present, late, behind=-0.25 * np.gradient(truth, axis=0)
+        truth.copy(),
+        setup,
+        segment,
+        present,
+        shifted_rows=late,
+        behind=-0.25 * np.gradient(truth, axis=0),
     )
     inside = slice(8, N - 8)
     np.testing.assert_allclose(z[inside], model[inside], atol=1.5e-3)

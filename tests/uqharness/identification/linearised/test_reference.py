@@ -101,7 +101,9 @@ def test_what_a_property_does_is_that_at_states_that_jump_from_row_to_row(glider
     one = none[:, 0]
     probe = Probe(reference, mass, none, none, none, none, controls, one, height, x, x, x, x[:, :2])  # type: ignore[arg-type]
     with ReplayFolder(glider, ideal=CONTROLS) as level:
-        (probe,), _ = with_property_slopes(level, [segment], [probe], names, values, (), SERIAL)
+        (probe,), _ = with_property_slopes(
+            level, [segment], [probe], names, values, analytic=(), pool=SERIAL
+        )
         rows = np.arange(2, n, 9 * SLOPE_ROWS)
         motion = {name: x[rows, k] for k, name in enumerate(STATES)}
         parts = [SegmentStates(segment, motion, controls[rows], height[rows])]
