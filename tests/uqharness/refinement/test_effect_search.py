@@ -49,7 +49,7 @@ def test_nothing_is_named_where_nothing_is_missing():
     outcome = search(truth)
     assert outcome.model.keys == set()
     assert truth.fitted == []
-    assert outcome.model.criterion == truth.context()[0].cost
+    assert outcome.model.criterion == truth.context()[0].baseline_cost
 
 
 def test_two_effects_are_named_with_their_values():
