@@ -40,12 +40,9 @@ from uqharness.identification.linearised import (
     stage_models,
     with_jumping_flights,
 )
+from uqharness.refinement.baseline import fit_in_turbulence, fit_without_effects
 from uqharness.refinement.candidates import candidate_effects
-from uqharness.refinement.estimators import (
-    PredictionErrorEstimator,
-    fit_in_turbulence,
-    fit_without_effects,
-)
+from uqharness.refinement.estimators import PredictionErrorEstimator
 from uqharness.replay.flights import read_flights
 from uqharness.simulator import find_aircraft
 

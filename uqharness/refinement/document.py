@@ -24,7 +24,6 @@ from sysid.effects import (
 from sysid.estimation import NOISE_FLOOR
 from uqharness.identification.linearised import FlightData
 from uqharness.refinement.candidates import is_fastest
-from uqharness.refinement.effect_search import FormMismatch, SearchResult, chosen_interval
 from uqharness.refinement.evaluation import Evaluation, excess_residuals, residual_tables
 from uqharness.refinement.hold_out import HoldOutResult, Verdict
 from uqharness.refinement.residual_location import (
@@ -36,6 +35,7 @@ from uqharness.refinement.residual_location import (
     place_of,
     states_along,
 )
+from uqharness.refinement.search_result import FormMismatch, SearchResult, chosen_interval
 from uqharness.refinement.sentences import (
     reason_for,
     separating_manoeuvre,

@@ -21,7 +21,7 @@ stop.
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -32,35 +32,24 @@ from sysid.effects import (
     RejectedCandidate,
     SelectedEffect,
     Selection,
-    TurbulenceModel,
     column_correlations,
-    compare_parts,
-    conditional_interval,
-    corrected_estimate,
     estimate_selected,
-    project_out,
     score_tests,
-    sidak_critical_t,
-    solve,
     tuned,
 )
 from sysid.parallel import Processes
-from uqharness.errors import BadInputError
 from uqharness.heartbeat import Callback
 from uqharness.identification.linearised import (
-    PRIOR,
     FlightData,
-    Linearisation,
-    TurbulentFit,
-    control_delay_name,
-    effect_columns,
-    is_turbulent,
-    make_flight_data,
     one_step_estimates,
-    stage_models,
-    with_jumping_flights,
 )
-from uqharness.plugin import Estimate
+from uqharness.refinement.baseline import (
+    Baseline,
+    controls_offset,
+    fit_baseline,
+    note_unestimated,
+    offset_words,
+)
 from uqharness.refinement.candidate_model import (
     AircraftFitter,
     CandidateModel,
@@ -69,143 +58,17 @@ from uqharness.refinement.candidate_model import (
     with_local_rate_limits,
 )
 from uqharness.refinement.candidates import (
-    SHORTEST_ROWS,
-    candidate_effects,
     eligible,
-    with_servo_limits,
     without_unresolved,
 )
-from uqharness.refinement.estimators import (
-    Estimator,
-    OutputErrorFit,
-    ReplayEstimator,
-    estimator_for,
-    fit_in_turbulence,
-    fit_without_effects,
-    note_unestimated,
-    with_residual_noise,
-)
+from uqharness.refinement.search_result import SearchResult
 from uqharness.refinement.stages import Stages
 from uqharness.refinement.write_xml import of_lift_slope
-from uqharness.replay import SENSOR_OF, Flight
+from uqharness.replay import SENSOR_OF
 from uqharness.simulator import Aircraft
 
 MAX_MODELS = 6
 """Largest number of simulated proposals."""
-MAX_CORRECTIONS = 4
-"""Largest number of shifts of the controls."""
-CONTROLS_LATE = Effect(
-    None,
-    "record",
-    "delay",
-    "controls recorded early or late",
-    "all commands act later than recorded, by one common time",
-    unit="s",
-)
-"""The time offset of all controls, which competes with the candidates as one column."""
-CALM_AFTER_ALL = (
-    "the residuals of replays looked like turbulence, but effects in the aircraft or its sensors"
-    " explain them better: the flights were judged by replays"
-)
-
-
-@dataclass(frozen=True)
-class FormMismatch:
-    """A curve in the states of selected effects that none of their forms describes.
-
-    Attributes
-    ----------
-    coefficient, states, name : str, tuple of str, str
-        The curve.
-    gain : float
-        Its gain in 2 ln L beside all effects.
-    p : float
-        Probability of such a gain by chance.
-    replaced : tuple of str
-        Keys of the effects that the curve may replace.
-    """
-
-    coefficient: str
-    states: tuple[str, ...]
-    name: str
-    gain: float
-    p: float
-    replaced: tuple[str, ...]
-
-
-@dataclass(frozen=True)
-class SearchResult:
-    """Result of a search on the training flights.
-
-    Attributes
-    ----------
-    data : FlightData
-    names : tuple of str
-        Estimated parameters.
-    before, after : Linearisation
-        Fits without and with the effects; the same without effects.
-    selection : Selection
-    effects : mapping
-        All candidates by key.
-    parameters : mapping
-        Property to its value and standard error for coloured residuals.
-    plain : mapping
-        Property to its value without effects.
-    turbulence : TurbulenceModel or None
-        The air; None if calm.
-    scoreboard : tuple
-        (name, t) of the candidates that explain most, each alone beside the parameters.
-    critical_t : float
-        |t| required of an effect.
-    late_s : float
-        Shift of all controls before the search [s].
-    slopes : mapping
-        Numbers with which effects of stall and propulsion are written.
-    flown_values : mapping
-        Value of each effect in ``after``, by key.
-    unclear : tuple of SelectedEffect
-        Effects that are too weak to be named beside unexplained residuals.
-    mismatch : FormMismatch or None
-        A curve that selected effects should have.
-    remaining : tuple
-        (key, t) of other candidates with |t| above CERTAIN_T, the strongest first.
-    """
-
-    data: FlightData
-    names: tuple[str, ...]
-    before: Linearisation
-    after: Linearisation
-    selection: Selection
-    effects: Mapping[str, Effect]
-    parameters: Mapping[str, tuple[float, float]]
-    notes: tuple[str, ...]
-    plain: Mapping[str, float] = field(default_factory=dict)
-    turbulence: TurbulenceModel | None = None
-    scoreboard: tuple[tuple[str, float], ...] = ()
-    critical_t: float = float("nan")
-    late_s: float = 0.0
-    trail: tuple[str, ...] = ()
-    slopes: Mapping[str, float] = field(default_factory=dict)
-    flown_values: Mapping[str, float] = field(default_factory=dict)
-    unclear: tuple[SelectedEffect, ...] = ()
-    mismatch: FormMismatch | None = None
-    remaining: tuple[tuple[str, float], ...] = ()
-
-    @property
-    def estimator(self) -> Estimator:
-        """The estimator of the flights."""
-        return estimator_for(self.turbulence)
-
-    @property
-    def controls_late_s(self) -> float:
-        """By how much the controls act late in records whose clock is off: the shift, and the mean
-        of what is estimated after it; 0 without a shift.
-        """
-        if not self.late_s:
-            return 0.0
-        nuisance = self.after.trajectory.point.nuisance
-        estimates = [v for n, v in nuisance.items() if n.startswith("lateness/")]
-        return self.late_s + float(np.mean(estimates or [0.0]))
 
 
 def find_effects(
@@ -268,223 +131,6 @@ def find_effects(
     if shifts:
         notes.insert(0, offset_words(result.controls_late_s, std_s, command_s))
     return replace(result, notes=(*notes, *result.notes))
-
-
-# 1. Baseline
-
-
-@dataclass(frozen=True)
-class Baseline:
-    """The model without effects, fitted to the training flights.
-
-    Attributes
-    ----------
-    context : SearchContext
-        What candidate models share, the fit among it.
-    information : Information
-        Columns of the fit and of all candidates.
-    competes : bool
-        Whether the time offset of all controls is among the columns.
-    notes : list of str
-    """
-
-    context: SearchContext
-    information: Information
-    competes: bool
-    notes: list[str]
-
-
-def fit_baseline(
-    aircraft: Aircraft,
-    recorded: FlightData,
-    extra: Sequence[Effect],
-    shifts: Sequence[float],
-    *,
-    pool: Processes,
-    callback: Callback,
-    stages: Stages,
-) -> Baseline:
-    """Estimate the model without effects; the residuals choose the estimator.
-
-    ``shifts`` [s] of the controls are applied to the flights as recorded.
-    """
-    requested = tuple(aircraft.card.parameters)
-    if not requested:
-        raise BadInputError(
-            f"aircraft '{aircraft.name}': its airframe.toml lists no [parameters], which"
-            " must name the parameters to identify first"
-        )
-    # Flights with their controls shifted are other data: made from the records, not from
-    # shifted ones.
-    suffix = len(shifts) or ""
-    data = recorded
-    if shifts:
-        flights = shifted_flights(recorded.flights, sum(shifts))
-        data = make_flight_data(aircraft, flights, recorded.positions, recorded.ideal)
-    unlimited = (-np.inf, np.inf)
-    limits = {
-        n: unlimited if c.bounds is None else c.bounds for n, c in aircraft.card.parameters.items()
-    }
-    # One staged copy of the aircraft serves both estimators.
-    turbulent_fit: TurbulentFit | None = None
-    with stage_models(aircraft, data) as models:
-        callback("re-identifying the parameters")
-        data = with_jumping_flights(data, models.model)
-        replayed = stages(
-            f"parameters{suffix}",
-            OutputErrorFit,
-            lambda: fit_without_effects(aircraft, models, data, requested, limits, pool),
-        )
-        # The noise of the fit weighs the residuals from here on.
-        notes, fitted = replayed.notes, replace(data, noise=replayed.noise)
-        effects = candidate_effects(fitted, requested, extra)
-        if is_turbulent(fitted, replayed.fit.trajectory):
-            callback(
-                "turbulent air: predicting one sample ahead, scoring"
-                f" {len(effects)} candidate effects"
-            )
-            turbulent_fit = stages(
-                f"air{suffix}",
-                TurbulentFit,
-                lambda: fit_in_turbulence(aircraft, models, fitted, replayed, limits, pool),
-            )
-            # Missing effects, too, leave what looks like turbulence: the likelihood decides,
-            # with all candidates in calm air against none in turbulence.
-            calm_cost = least_cost_in_calm_air(fitted, replayed.fit, effects)
-            in_calm_air = not turbulent_fit.turbulence.is_turbulent
-            if in_calm_air or calm_cost < turbulent_fit.neg2_log_likelihood:
-                turbulent_fit, notes = None, [*notes, CALM_AFTER_ALL]
-    if turbulent_fit is None:
-        callback(f"scoring {len(effects)} candidate effects")
-    # Linearise about the model of the chosen estimator, with every candidate as a column.
-    model = turbulent_fit or with_residual_noise(fitted, replayed.fit)
-    estimator, fit = estimator_for(model.turbulence), model.fit
-    data = with_servo_limits(model.data, fit, estimator)
-    # A common delay of the controls competes, unless it was corrected before.
-    competes = len(shifts) < MAX_CORRECTIONS and not data.late
-    scored = [*effects, CONTROLS_LATE] if competes else effects
-    columns = effect_columns(data, fit.probes, fit.trajectory, scored)
-    information = estimator.information(data, fit, columns, effects)
-    free = fit.columns[0].names
-    context = SearchContext(
-        data,
-        fit,
-        replayed.names if turbulent_fit is None else replayed.excited,
-        {e.key: e for e in effects},
-        limits,
-        estimator.critical_t(information, free, eligible(effects, data, free, information)),
-        model.neg2_log_likelihood,
-        estimator,
-    )
-    return Baseline(context, information, competes, notes)
-
-
-def least_cost_in_calm_air(
-    data: FlightData, fit: Linearisation, effects: Sequence[Effect]
-) -> float:
-    """Return minus twice the log likelihood of replays with all candidates at once, plus their
-    number.
-
-    It is computed from the linearised model, with each channel's remaining noise. Effects of the
-    aircraft can resemble turbulence, but turbulence leaves more than all effects together explain.
-    """
-    columns = effect_columns(data, fit.probes, fit.trajectory, effects)
-    information = ReplayEstimator().information(data, fit, columns)
-    free = fit.columns[0].names
-    names = [*free, *eligible(effects, data, free, information)]
-    residuals = np.concatenate(
-        information.residual(information.estimates(information.index(names)))
-    )
-    count = np.isfinite(residuals).sum(axis=0)
-    variance = np.nanmean(residuals**2, axis=0) * data.noise**2
-    return float(np.sum(count * (1.0 + np.log(variance)))) + len(names)
-
-
-# 2. Timing
-
-
-def controls_offset(
-    baseline: Baseline, command_s: float, *, first: bool
-) -> tuple[float, float] | None:
-    """Return the time by which all controls act after their rows, and its standard error [s].
-
-    None if the flights do not show one: it must exceed its limits, explain as much as the best
-    candidate and as all servos' lags together, and be confirmed by held-out manoeuvres.
-
-    Parameters
-    ----------
-    baseline : Baseline
-    command_s : float
-        Time between commands [s].
-    first : bool
-        Whether the controls are as recorded.
-    """
-    if not baseline.competes:
-        return None
-    # The information as it is with the controls at their rows.
-    key, context = CONTROLS_LATE.key, baseline.context
-    nuisance = context.baseline_fit.trajectory.point.nuisance
-    offsets = {n: nuisance[n] for n in map(control_delay_name, context.data.timed)}
-    information = baseline.information.without_values(offsets)
-    free = [n for n in context.free if n not in offsets]
-    value, std, _ = corrected_estimate(information, free, key)
-    rivals = eligible([*context.effects.values()], context.data, free, information)
-    critical_t = max(sidak_critical_t(len(rivals) + 1), context.estimator.least_critical_t)
-    latest_s, earliest_s = offset_tolerance_s(command_s, first)
-    if not abs(value / std) > critical_t or -earliest_s <= value <= latest_s:
-        return None
-    gain = float(score_tests(information, free, [key]).gain[0])
-    penalties = np.array([context.effects[k].penalty for k in rivals])
-    rival_gain = score_tests(information, free, rivals).gain - penalties
-    if np.nanmax(rival_gain, initial=0.0) > gain:
-        return None
-    lags = [k for k in rivals if k.startswith("effect/actuator.") and k.endswith("/lag")]
-    if lags and joint_gain(information, free, lags) > gain + tuned.SIGNIFICANT_Z**2:
-        return None
-    confirming = information.confirming
-    if confirming is not None and not compare_parts(information, free, key, ~confirming)[0] > 0.0:
-        return None
-    return value, std
-
-
-def joint_gain(information: Information, free: Sequence[str], keys: Sequence[str]) -> float:
-    """Return the gain in 2 ln L of several candidates at once, u' g^-1 u, with the free columns
-    projected out.
-    """
-    g, u = project_out(*information.total, information.index(free), information.index(keys))
-    return float(u @ solve(g, u[:, None])[:, 0])
-
-
-def offset_tolerance_s(command_s: float, first: bool) -> tuple[float, float]:
-    """Return the latest and the earliest offset [s] that counts as no error of the clock.
-
-    Every fit estimates an offset of the integration, and a simulator's controls act up to half a
-    step before their row. After the first shift the limit is the resolution.
-    """
-    resolution_s = SHORTEST_ROWS * command_s
-    return (
-        (max(resolution_s, PRIOR["lateness"]), tuned.UNRESOLVED_ROWS * command_s)
-        if first
-        else (resolution_s, resolution_s)
-    )
-
-
-def shifted_flights(flights: Sequence[Flight], late_s: float) -> list[Flight]:
-    """Return the flights with all commands and positions ``late_s`` later, constant before the
-    first row.
-    """
-    return [f.with_delayed_commands(late_s) if late_s else f for f in flights]
-
-
-def offset_words(late_s: float, std_s: float, dt_s: float) -> str:
-    """Return the time offset as a note."""
-    direction = "after" if late_s > 0 else "before"
-    return (
-        f"the controls act {1e3 * abs(late_s):.1f} +/- {1e3 * std_s:.1f} ms"
-        f" ({abs(late_s) / dt_s:.2f} rows) {direction} the time the records give them, all by the"
-        " same. The cause is the record's clock, not a servo; all flights were corrected before the"
-        " search for effects. Find out which clock stamps the commands"
-    )
 
 
 # 3 to 6. Propose, fit, compare, stop
@@ -817,17 +463,6 @@ def with_time_resolution(
     return selection.with_each(widened)
 
 
-def chosen_interval(effect: SelectedEffect, critical_t: float) -> tuple[float, float]:
-    """Return the 95 % interval of an effect, conditional on its selection at |t| above
-    ``critical_t``.
-
-    The selection's |t| may be by a smaller standard error than the stated one.
-    """
-    selection_value = effect.t * effect.std
-    ratio = abs(effect.value / selection_value) if selection_value else 1.0
-    return conditional_interval(effect.value, effect.std, critical_t * ratio)
-
-
 def strong_candidates(
     information: Information, free: Sequence[str], chosen: Sequence[str], candidates: Iterable[str]
 ) -> tuple[tuple[str, float], ...]:
@@ -854,27 +489,3 @@ def score_table(
         (f"{effects[i].coefficient or effects[i].subsystem} {effects[i].term}", float(result.t[i]))
         for i in order
     )
-
-
-def remark(
-    choice: SelectedEffect, effect: Effect, flights: Sequence[str], command: str, critical_t: float
-) -> str:
-    """Return the remark beside an effect's number in the XML."""
-    low, high = chosen_interval(choice, critical_t)
-    text = (
-        f"{effect.name}: {choice.value:.5g} +/- {choice.std:.2g}, 95 % [{low:.5g}, {high:.5g}];"
-        f" from {', '.join(flights)}"
-    )
-    return f"{text}; {command}" if command else text
-
-
-def parameter_estimates(
-    result: SearchResult, flights: Sequence[str], initial: Mapping[str, float]
-) -> dict[str, Estimate]:
-    """Return new values of the estimated parameters with their remarks."""
-    return {
-        n: Estimate(
-            value, f"{value:.5g} +/- {std:.2g}, was {initial[n]:.5g}; refine; {', '.join(flights)}"
-        )
-        for n, (value, std) in result.parameters.items()
-    }

@@ -31,10 +31,9 @@ from sysid.effects import (
     normal_equations,
     sidak_critical_t,
     tuned,
-    whiten,
 )
 from sysid.parallel import Processes
-from uqharness.identification import equation_error_start, fit_replays, restrict_to_excited
+from uqharness.identification import fit_replays
 from uqharness.identification.linearised import (
     PRIOR,
     FlightData,
@@ -43,10 +42,8 @@ from uqharness.identification.linearised import (
     ModelState,
     StagedModels,
     Trajectory,
-    TurbulentFit,
     acts_on_motion,
     best_replay,
-    cost_of,
     delay_rows,
     estimated_channels,
     fit_at,
@@ -64,7 +61,6 @@ from uqharness.identification.linearised import (
     stage_models,
     unfiltered_residuals,
     with_card_noise,
-    with_estimator_noise,
     with_sensors_of,
 )
 from uqharness.replay import ReplayModel, batched_pool
@@ -72,8 +68,6 @@ from uqharness.simulator import Aircraft
 
 Limits = Mapping[str, tuple[float, float]]
 """Lower and upper bound of each parameter."""
-ESTIMATOR_ROUNDS = 2
-"""Fits after which the noise of channels that an autopilot's estimator computed has settled."""
 DIVERGED = 1e6
 """Gain over calm air that only says that the model leaves the flights in calm air."""
 _AXES = ("p_radps", "q_radps", "r_radps")
@@ -339,7 +333,7 @@ class ReplayEstimator(Estimator):
             fit.replay.forget()
             best = replace(point_of(fit, data, (), start.effects), values=start.values)
             trajectory = replay_at(model, data, best, pool)
-        residual = _replay_residuals(data, trajectory)
+        residual = replay_residuals(data, trajectory)
         white = [r / data.noise for r in residual]
         return Residuals(trajectory, residual, noise, white, trajectory.cost, (0.0,) * len(white))
 
@@ -574,7 +568,7 @@ def _information(
     )
 
 
-def _replay_residuals(data: FlightData, trajectory: Trajectory) -> list[FloatArray]:
+def replay_residuals(data: FlightData, trajectory: Trajectory) -> list[FloatArray]:
     """Return measurement minus replay, (n, m) per segment."""
     return [z - y for z, y in zip(data.measured, trajectory.outputs, strict=True)]
 
@@ -592,148 +586,6 @@ def _at_recorded_rows(
         )
         for late, r in pairs
     ]
-
-
-# The model without effects: its parameters estimated again, those that the flights do not excite
-# left unchanged.
-
-
-@dataclass(frozen=True)
-class OutputErrorFit:
-    """The model without effects, fitted by output error.
-
-    Attributes
-    ----------
-    names, excited : tuple of str
-        Parameters that the flights determine, and those that they excite.
-    noise : (m,) array
-        Noise of the outputs. For channels of an autopilot's estimator it is the residual of the
-        fit, because no card states an estimator's error.
-    """
-
-    fit: Linearisation
-    names: tuple[str, ...]
-    excited: tuple[str, ...]
-    notes: list[str]
-    noise: FloatArray
-
-
-def fit_without_effects(
-    aircraft: Aircraft,
-    models: StagedModels,
-    data: FlightData,
-    names: tuple[str, ...],
-    limits: Limits,
-    pool: Processes,
-) -> OutputErrorFit:
-    """Fit the parameters of the model without effects.
-
-    Parameters that a missing effect drives to a limit keep their value here and are estimated with
-    effects; in an autopilot's log they stay fixed.
-    """
-    model, direct = models.model, models.direct_model
-    current = model.current_values(aircraft.dt_s, names)
-    bounds = [limits[n] for n in names]
-    # Equation error gives a first guess without a replay.
-    guess, notes = equation_error_start(
-        model, direct, data.flights, data.segments, names, current, limits=bounds
-    )
-    noise = dict(zip(data.outputs, data.noise.tolist(), strict=True))
-    problem, _ = restrict_to_excited(
-        model,
-        observations_of(data),
-        names,
-        current,
-        bounds,
-        noise,
-        pool=batched_pool(pool),
-        choose=False,
-    )
-    result = fit_replays(model, problem, names, (guess, current), bounds, batched_pool(pool))
-    determined, excited = (
-        tuple(n for n in names if n not in fixed) for fixed in (result.undetermined, problem.fixed)
-    )
-    result.replay.forget()
-    trajectory = replay_at(model, data, point_of(result, data, names), pool)
-    fit = fit_at(models, data, excited, trajectory, pool)
-    computed = estimated_channels(data)
-    if not computed:
-        at_bound = [n for n in excited if n not in determined]
-        if at_bound:
-            note = (
-                "the baseline fit drives these to a bound; they are estimated only with effects:"
-                f" {', '.join(at_bound)}"
-            )
-            notes = [*notes, note]
-        return OutputErrorFit(fit, excited, excited, notes, data.noise)
-    # An autopilot's estimates: their error is what the fit leaves of them.
-    for _ in range(ESTIMATOR_ROUNDS):
-        rms = dict(zip(data.outputs, _residual_rms(data, fit.trajectory).tolist(), strict=True))
-        data = replace(data, noise=with_estimator_noise(data, rms))
-        fit = refit(models, data, fit.trajectory.point, determined, limits, pool)
-    levels = ", ".join(f"{c} {data.noise[data.outputs.index(c)]:.2g}" for c in computed)
-    note = (
-        "computed by the autopilot's estimator, measured by no vane; taken to be as uncertain (one"
-        f" standard deviation) as the model leaves them: {levels}"
-    )
-    return OutputErrorFit(fit, determined, excited, [*notes, note], data.noise)
-
-
-def fit_in_turbulence(
-    aircraft: Aircraft,
-    models: StagedModels,
-    data: FlightData,
-    replayed: OutputErrorFit,
-    limits: Limits,
-    pool: Processes,
-) -> TurbulentFit:
-    """Fit the model without effects and the air by prediction error.
-
-    It starts from output error or from the model as it is, whichever is likelier.
-    """
-    names = replayed.excited
-    current = models.model.current_values(aircraft.dt_s, names).tolist()
-    return gust_refit(
-        models,
-        with_card_noise(aircraft, data),
-        replayed.fit.trajectory.point,
-        names,
-        limits,
-        pool,
-        tune=True,
-        initial=dict(zip(names, current, strict=True)),
-    )
-
-
-def with_residual_noise(data: FlightData, fit: Linearisation) -> ModelFit:
-    """Return the fit with the noise of its residuals where that is less than the card's.
-
-    Noise that is twice too large halves every t. The noise is at least `MIN_NOISE_SHARE` of the
-    card's. Missing effects are part of the residuals, so it is rarely too small.
-    """
-    noise = np.clip(
-        _residual_rms(data, fit.trajectory), tuned.MIN_NOISE_SHARE * data.noise, data.noise
-    )
-    data = replace(data, noise=noise)
-    white = whiten(fit.steps, data.measured, fit.columns, data.output_rows, noise)
-    information = normal_equations(white, fit.columns[0].names, [0] * len(white), PRIOR)
-    trajectory = replace(fit.trajectory, cost=cost_of(data, fit.trajectory.outputs))
-    return ModelFit(
-        data, replace(fit, trajectory=trajectory, information=information), trajectory.cost, None
-    )
-
-
-def _residual_rms(data: FlightData, trajectory: Trajectory) -> FloatArray:
-    """Return the rms (m,) of the residuals of replays."""
-    residual = np.concatenate(_replay_residuals(data, trajectory))
-    return np.asarray(np.sqrt(np.nanmean(residual**2, axis=0)))
-
-
-def note_unestimated(requested: Sequence[str], names: Sequence[str]) -> list[str]:
-    """Return a note about requested parameters that were not estimated, if any."""
-    fixed = ", ".join(n for n in requested if n not in names)
-    text = f"not excited or not determined by these flights and left as they are: {fixed}"
-    return [text] if fixed else []
 
 
 # Estimates by output error on replays, the objective and the estimator of `identify`. Linearised

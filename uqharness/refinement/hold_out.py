@@ -41,7 +41,6 @@ from uqharness.identification.linearised import (
     with_sensors_of,
 )
 from uqharness.refinement.candidate_model import with_values
-from uqharness.refinement.effect_search import SearchResult
 from uqharness.refinement.estimators import (
     Dataset,
     carried_effects,
@@ -54,6 +53,7 @@ from uqharness.refinement.evaluation import (
     excess_residuals,
     with_replays,
 )
+from uqharness.refinement.search_result import SearchResult
 from uqharness.results.refinement import HoldOutVerdict
 from uqharness.simulator import Aircraft
 

@@ -30,9 +30,9 @@ from sysid.effects import (
 from sysid.estimation import integral_time, rms
 from uqharness.identification.linearised import FlightData, Trajectory
 from uqharness.refinement.candidates import eligible
-from uqharness.refinement.effect_search import SearchResult
 from uqharness.refinement.evaluation import Evaluation
 from uqharness.refinement.hold_out import HoldOutResult, train_information
+from uqharness.refinement.search_result import SearchResult
 from uqharness.refinement.sentences import discriminating_manoeuvre
 from uqharness.results.refinement import NearbyCandidate, Region, ResidualLocation
 

@@ -31,15 +31,10 @@ from uqharness.identification.linearised import (
 )
 from uqharness.parallel import worker_map
 from uqharness.plugin import bake_scales
+from uqharness.refinement.baseline import shifted_flights
 from uqharness.refinement.candidate_model import write_copy, write_staged
 from uqharness.refinement.document import document_of, refinement_view
-from uqharness.refinement.effect_search import (
-    SearchResult,
-    find_effects,
-    parameter_estimates,
-    remark,
-    shifted_flights,
-)
+from uqharness.refinement.effect_search import find_effects
 from uqharness.refinement.estimators import Dataset
 from uqharness.refinement.hold_out import (
     HoldOutResult,
@@ -60,13 +55,14 @@ from uqharness.refinement.mission import (
     no_pbox,
     write_forms,
 )
+from uqharness.refinement.search_result import SearchResult, parameter_estimates, remark
 from uqharness.refinement.smooth_terms import (
     EXPLAINED,
     SMOOTH_FOLDER,
-    drop_unclear_effects,
     find_smooth_term,
 )
 from uqharness.refinement.stages import STAGES_FOLDER, Stages
+from uqharness.refinement.unclear_effects import drop_unclear_effects
 from uqharness.refinement.write_xml import EffectToWrite
 from uqharness.replay import CONTROLS, numbers_of_files, read_flights, unique_names
 from uqharness.requests.refinement import STAGES, RefineRequest

@@ -1,15 +1,14 @@
-"""Smooth terms: curves where no effect of the catalogue explains the residuals.
+"""Smooth term: a curve where no effect of the catalogue explains the residuals.
 
-They also test whether selected effects have the right form. A term is a curve in one state, or in
-one state times a second. It is selected on the training flights' linearised likelihood beside the
-selected effects, written as a table into a copy of the aircraft, and evaluated on both sides like
+It is selected on the linearised likelihood of the training flights beside the effects (`curves`),
+written as a table into a copy of the aircraft, and evaluated on training and hold-out flights like
 an effect. It names no cause and changes no verdict.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -18,31 +17,14 @@ from sysid.aerodynamics import COEFFICIENTS
 from sysid.arrays import FloatArray
 from sysid.distributions import Z95
 from sysid.effects import (
-    Columns,
-    Effect,
-    Information,
-    LazyColumns,
-    SelectedEffect,
     SmoothFit,
-    SmoothTerm,
-    colour_dispersion,
-    corrected_estimates,
-    fit_smooth,
     held_out_gain,
     named_forms,
     similar_forms,
-    smooth_term,
-    tuned,
 )
 from sysid.estimation import rms
 from sysid.parallel import Processes
-from uqharness.identification.linearised import (
-    FlightData,
-    Linearisation,
-    effect_columns,
-    join_columns,
-)
-from uqharness.refinement.effect_search import FormMismatch, SearchResult
+from uqharness.refinement.curves import STATES, CurveEstimate, CurveFits, Inputs
 from uqharness.refinement.estimators import Dataset
 from uqharness.refinement.evaluation import (
     Evaluation,
@@ -55,11 +37,8 @@ from uqharness.refinement.hold_out import (
     HoldOutResult,
     Write,
     compare,
-    leave_out,
     linearise_as_written,
     point_as_written,
-    property_values,
-    train_information,
 )
 from uqharness.refinement.write_xml import GRID, property_of_table, write_table
 from uqharness.results.refinement import HoldOutTest as HoldOutDocument
@@ -67,235 +46,9 @@ from uqharness.results.refinement import ResidualTables
 from uqharness.results.refinement import SmoothTerm as SmoothTermDocument
 from uqharness.simulator import Aircraft
 
-STATES = ("alpha", "beta", "p_hat", "q_hat", "r_hat", "de", "da", "dr", "CT", "V_rel")
-"""States of the curves."""
 SMOOTH_FOLDER = "unnamed"
 """Folder of the aircraft with the term, beside the refined one."""
 EXPLAINED = "the catalogue leaves no residual that needs one"
-Inputs = dict[str, tuple[int, FloatArray]]
-
-
-@dataclass(frozen=True)
-class CurveEstimate:
-    """A term estimated about a trajectory.
-
-    ``result`` holds the other estimates beside the term, ``replaced`` the keys of the effects in
-    whose place it is.
-    """
-
-    result: SearchResult
-    fit: SmoothFit
-    replaced: tuple[str, ...]
-
-
-class CurveFits:
-    """Fits of curves about the trajectory of ``result``, or about another with its data that has
-    the curve ``flown_term``.
-    """
-
-    def __init__(
-        self,
-        result: SearchResult,
-        fit: Linearisation,
-        data: FlightData | None = None,
-        flown_term: CurveEstimate | None = None,
-    ) -> None:
-        self.result, self.fit, self.data, self.flown_term = result, fit, data, flown_term
-        self.along = [p.variables() for p in fit.probes]
-        self.samples = {n: np.concatenate([v[n] for v in self.along]) for n in STATES}
-
-    def information(
-        self, make: Callable[[Mapping[str, FloatArray]], Inputs]
-    ) -> tuple[Information, list[str]]:
-        """Return the information of all columns and of those that ``make`` computes from a
-        segment's variables, and the names of the other free columns.
-        """
-        names = tuple(make(self.along[0]))
-        curves = LazyColumns(
-            names, lambda k, _: Columns(names, make(self.along[k]), {}), len(self.along)
-        )
-        values = self.result.selection.values
-        if self.data is None:
-            information = train_information(self.result, (), curves)
-        else:
-            effects = [self.result.effects[k] for k in values]
-            columns = effect_columns(self.data, self.fit.probes, self.fit.trajectory, effects)
-            term_values = {} if self.flown_term is None else self.flown_term.fit.column_values
-            information = self.result.estimator.information(
-                self.data, self.fit, join_columns(columns, curves)
-            ).without_values({**values, **term_values})
-        excluded = {*self.result.effects, *names}
-        return information, [*(n for n in information.names if n not in excluded), *values]
-
-    def fit_each(self, terms: Sequence[SmoothTerm]) -> list[SmoothFit]:
-        """Fit each of the terms alone."""
-        if not terms:
-            return []
-        information, free = self.information(
-            lambda v: {n: row for t in terms for n, row in t.inputs(v).items()}
-        )
-        return fit_smooth(information, free, terms)
-
-    def fit_coloured(
-        self, term: SmoothTerm, replaced: Sequence[str] = ()
-    ) -> tuple[SmoothFit, Information, list[str]]:
-        """Fit a term in place of the effects ``replaced``, with the information for coloured
-        residuals.
-
-        Also returns the information used, and the names of the other free columns.
-        """
-        information, free = self.information(term.inputs)
-        free = [n for n in free if n not in replaced]
-        (fit,) = fit_smooth(information, free, [term])
-        smooth = with_smoothing(information, fit)
-        estimates = smooth.estimates(information.index([*free, *fit.estimated_columns]))
-        dispersion = colour_dispersion(information, free, fit, smooth.residual(estimates))
-        return fit_smooth(information, free, [term], dispersion)[0], information, free
-
-    def terms(self, coefficient: str, times: str | None = None) -> list[SmoothTerm]:
-        """Return terms of every state that varies, times a second one if given."""
-        terms = (smooth_term(coefficient, s, times, self.samples) for s in STATES if s != times)
-        return [t for t in terms if t is not None]
-
-    def estimate(self, term: SmoothTerm) -> CurveEstimate:
-        """Estimate a term and everything else beside it.
-
-        Effects that are functions of the same states in the same coefficient are part of the curve
-        and are left out.
-        """
-        effects = self.result.selection.chosen
-        inside = [c.key for c in effects if can_represent(self.result.effects[c.key], term)]
-        replaced = (*inside, *(self.flown_term.replaced if self.flown_term else ()))
-        fit, information, free = self.fit_coloured(term, replaced)
-        outside = [c for c in effects if c.key not in replaced]
-        estimates = corrected_estimates(
-            with_smoothing(information, fit),
-            [*free, *fit.estimated_columns],
-            [*self.result.names, *(c.key for c in outside)],
-        )
-        current = self.fit.trajectory.point.values
-        chosen = tuple(
-            replace(c, value=estimates[c.key][0], std=estimates[c.key][1]) for c in outside
-        )
-        parameters = {n: (current[n] + estimates[n][0], estimates[n][1]) for n in self.result.names}
-        selection = replace(self.result.selection, chosen=chosen)
-        result = replace(self.result, parameters=parameters, selection=selection)
-        return CurveEstimate(result, fit, replaced)
-
-
-def can_represent(effect: Effect, term: SmoothTerm) -> bool:
-    """Return whether a curve of the term's states can represent the effect."""
-    parsed = effect.parsed
-    if parsed is None or effect.coefficient != term.coefficient:
-        return False
-    times = [f.text for f in parsed.factors if f.variable == term.times]
-    return times == [term.times] * (term.times is not None) and {*parsed.variables} <= {
-        term.state,
-        term.times,
-    }
-
-
-def with_smoothing(information: Information, fit: SmoothFit) -> Information:
-    """Return the information with the smoothing as a prior of the term's columns."""
-    prior = information.prior.copy()
-    prior[information.index(fit.term.columns)] += fit.dispersion * fit.precision
-    return replace(information, prior=prior)
-
-
-# Chosen effects of the wrong form, or too weak to be named beside something unexplained.
-#
-# Something unexplained resembles many candidates a little, so that limits for chance no longer
-# hold: an effect is then named where it is strong, or nearly as strong as the strongest. Train
-# flights alone decide.
-
-
-def drop_unclear_effects(
-    result: SearchResult, train: Dataset, complete: Aircraft, pool: Processes
-) -> SearchResult:
-    """Estimate everything again without weak effects, if the model leaves the training flights
-    unexplained.
-
-    Residuals show that, or a curve that the selected forms do not describe. ``complete`` is the
-    aircraft with all selected effects.
-    """
-    effects, curve = result.selection.chosen, find_form_mismatch(result)
-    if curve is None:
-        weak = too_weak(effects, result.critical_t)
-        values = property_values(result, result)
-        point = point_as_written(result, values, result.after.trajectory.point)
-        if weak:
-            evaluation = evaluate(complete, train, pool, point)
-            if not excess_residuals(train.data, evaluation, result.estimator):
-                return result
-    else:
-        mismatch, outside = curve
-        result = replace(result, mismatch=mismatch)
-        inside = [c for c in effects if c.key in mismatch.replaced]
-        weak_keys = {c.key for c in too_weak([*inside, *outside], result.critical_t)}
-        weak = tuple(c for c in effects if c.key in weak_keys)
-    if not weak:
-        return result
-    strong = leave_out(result, train_information(result), [c.key for c in weak])
-    lines = [f"too weak against the unexplained residual: - {c.key} t {c.t:.1f}" for c in weak]
-    return replace(strong, unclear=weak, trail=(*result.trail, *lines))
-
-
-def too_weak(effects: Sequence[SelectedEffect], critical_t: float) -> tuple[SelectedEffect, ...]:
-    """Return the effects that are not named beside unexplained residuals.
-
-    |t| is by the stated standard error, which may be larger than that of the selection.
-    """
-    t = [abs(c.value / c.std) for c in effects]
-    required = max(
-        min(tuned.COMPARABLE_SHARE * max(t, default=0.0), tuned.OVERWHELMING_T),
-        critical_t + tuned.SIGNIFICANT_Z,
-    )
-    return tuple(c for c, size in zip(effects, t, strict=True) if not size >= required)
-
-
-def find_form_mismatch(
-    result: SearchResult,
-) -> tuple[FormMismatch, tuple[SelectedEffect, ...]] | None:
-    """Return the most significant curve in a selected effect's states and coefficient, and the
-    other effects as estimated beside it.
-
-    None if no curve is significant.
-    """
-    curves = CurveFits(result, result.after)
-    terms = _terms_of_effects(result, curves)
-    fits = [
-        curves.fit_coloured(f.term)[0] for f in curves.fit_each(terms) if f.stands_out(len(terms))
-    ]
-    best = max((f for f in fits if f.stands_out(len(terms))), key=lambda f: f.merit, default=None)
-    if best is None:
-        return None
-    term, estimate = best.term, curves.estimate(best.term)
-    outside = tuple(replace(c, t=c.value / c.std) for c in estimate.result.selection.chosen)
-    states = (term.state, *((term.times,) if term.times else ()))
-    p = best.p * len(terms)
-    mismatch = FormMismatch(term.coefficient, states, term.name, best.ratio, p, estimate.replaced)
-    return mismatch, outside
-
-
-def _terms_of_effects(result: SearchResult, curves: CurveFits) -> list[SmoothTerm]:
-    """Return curves that can represent selected effects, each in one of its states.
-
-    For an effect of two states it is a curve in one times the other.
-    """
-    effects = [result.effects[c.key] for c in result.selection.chosen]
-    keys: dict[tuple[str, str, str | None], None] = {}
-    for effect in effects:
-        states = () if effect.parsed is None else effect.parsed.variables
-        if effect.coefficient is None or len(states) > 2 or not {*states} <= {*STATES}:
-            continue
-        for state in states:
-            other = next((s for s in states if s != state), None)
-            keys[effect.coefficient, state, other] = None
-    terms = [smooth_term(*key, curves.samples) for key in keys]
-    return [t for t in terms if t is not None and any(can_represent(e, t) for e in effects)]
-
-
-# The smooth term of refinement.json.
 
 
 @dataclass(frozen=True)

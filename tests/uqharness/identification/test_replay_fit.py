@@ -25,7 +25,8 @@ from uqharness.identification.linearised import (
     stage_models,
 )
 from uqharness.identification.replay_fit import Observed, fit_replays, jumping_flights
-from uqharness.refinement.estimators import Dataset, fit_without_effects, note_unestimated
+from uqharness.refinement.baseline import fit_without_effects, note_unestimated
+from uqharness.refinement.estimators import Dataset
 from uqharness.refinement.evaluation import evaluate
 from uqharness.replay import CONTROL_DELAY, CONTROLS, ReplayFolder, delayed_command
 from uqharness.replay.flights import prepare

@@ -11,7 +11,7 @@ from scipy.signal import lfilter
 from sysid.effects.selection import SelectedEffect
 from uqharness.refinement.estimators import PredictionErrorEstimator, ReplayEstimator
 from uqharness.refinement.evaluation import Excess, excess_residuals
-from uqharness.refinement.smooth_terms import too_weak
+from uqharness.refinement.unclear_effects import too_weak
 
 LIMIT = 4.0
 

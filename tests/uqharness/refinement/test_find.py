@@ -12,13 +12,10 @@ from sysid.effects import CERTAIN_T, conditional_interval
 from sysid.effects.catalogue import coefficient_effect
 from sysid.effects.information import Information
 from sysid.effects.selection import SelectedEffect
+from uqharness.refinement.baseline import offset_tolerance_s
 from uqharness.refinement.document import still_significant
-from uqharness.refinement.effect_search import (
-    SearchResult,
-    chosen_interval,
-    offset_tolerance_s,
-    strong_candidates,
-)
+from uqharness.refinement.effect_search import strong_candidates
+from uqharness.refinement.search_result import SearchResult, chosen_interval
 
 
 def evidence(strengths: dict[str, float], likeness: float = 0.0) -> Information:

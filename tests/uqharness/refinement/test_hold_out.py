@@ -20,7 +20,6 @@ from tests.uqharness.refinement.linear_aircraft import (
     simulate,
 )
 from uqharness.identification.linearised import EffectProperty, FlightData, ModelState
-from uqharness.refinement.effect_search import SearchResult
 from uqharness.refinement.estimators import Dataset
 from uqharness.refinement.evaluation import Evaluation
 from uqharness.refinement.hold_out import (
@@ -31,6 +30,7 @@ from uqharness.refinement.hold_out import (
     compare,
     property_values,
 )
+from uqharness.refinement.search_result import SearchResult
 
 
 def show(white: list[np.ndarray], deviation: float = 1.0) -> SimpleNamespace:

@@ -23,7 +23,8 @@ from uqharness.batch.course import fly_many
 from uqharness.cli.main import main
 from uqharness.flight.spec import FlightSpec
 from uqharness.refinement import run
-from uqharness.refinement.smooth_terms import EXPLAINED, STATES, can_represent
+from uqharness.refinement.curves import STATES, can_represent
+from uqharness.refinement.smooth_terms import EXPLAINED
 from uqharness.requests.refinement import RefineRequest
 from uqharness.results.refinement import Refinement
 from uqharness.simulator.aircraft import find_aircraft
