@@ -9,10 +9,11 @@ from __future__ import annotations
 import multiprocessing
 import os
 import threading
+import time
 import weakref
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Future, ProcessPoolExecutor
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -21,6 +22,10 @@ from sysid.parallel import SERIAL, Processes
 from uqharness.child_process import child_settings, main_not_imported
 from uqharness.files import scratch_folder
 
+SHORT_COMMAND_S = 8.0
+"""Processor time [s] that two workers spend on imports and translating the aircraft. A command that
+has not run as long hardly gains by them.
+"""
 _MAX_PROCESSES = 8
 _CACHED_VALUES = 4
 
@@ -90,29 +95,44 @@ def process_pool(count: int) -> Iterator[ProcessPoolExecutor]:
 
 
 @contextmanager
-def worker_map(workers: int | None = None) -> Iterator[Processes]:
+def worker_map(workers: int | None = None, patience_s: float = 0.0) -> Iterator[Processes]:
     """Yield an ordered map over worker processes.
 
     ``workers`` is the number of processes, by default the usable cores (at most 8); with 1 the map
-    runs in this process.
+    runs in this process. It also does so for ``patience_s`` of this process' processor time, and
+    for single jobs.
     """
     count = process_count(workers)
     if count == 1:
         yield SERIAL
         return
-    with scratch_folder("shared") as folder, process_pool(count) as pool:
-        yield _Workers(pool, count, folder.path)
+    with scratch_folder("shared") as folder, ExitStack() as stack:
+        yield _Workers(
+            lambda: stack.enter_context(process_pool(count)), count, folder.path, patience_s
+        )
 
 
 class _Workers:
     """Ordered map over a pool, with a folder for shared values."""
 
-    def __init__(self, pool: ProcessPoolExecutor, count: int, folder: Path) -> None:
-        self._pool, self.count, self._folder = pool, count, folder
+    def __init__(
+        self,
+        open_pool: Callable[[], ProcessPoolExecutor],
+        count: int,
+        folder: Path,
+        patience_s: float,
+    ) -> None:
+        self._open_pool, self.count, self._folder = open_pool, count, folder
+        self._pool: ProcessPoolExecutor | None = None
+        self._start_s = time.process_time() + patience_s
         self._number = 0
 
     def __call__(self, function: Callable[[Any], Any], jobs: Iterable[Any]) -> Iterable[Any]:
-        return self._pool.map(function, list(jobs), chunksize=1)
+        jobs = list(jobs)
+        if len(jobs) < 2 or time.process_time() < self._start_s:
+            return map(function, jobs)
+        self._pool = self._pool or self._open_pool()
+        return self._pool.map(function, jobs, chunksize=1)
 
     def share(self, value: Any) -> _SharedValue:
         """Write a value to a file once, for jobs that all read it."""

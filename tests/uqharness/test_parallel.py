@@ -59,3 +59,10 @@ def test_two_workers_answer_in_order_and_read_what_is_shared_once():
         folder = path.parent
         assert folder.is_dir()
     assert not folder.exists()
+
+
+def test_a_short_command_runs_its_jobs_in_this_process():
+    with worker_map(2, patience_s=1e9) as pool:
+        assert {pid for _, pid in pool(_squared, range(3))} == {os.getpid()}
+    with worker_map(2) as pool:
+        assert [*pool(_squared, [3])] == [(9, os.getpid())]

@@ -46,7 +46,7 @@ from uqharness.identification.replay_fit import (
 )
 from uqharness.identification.replay_fit import MAX_ITERATIONS as OUTPUT_ITERATIONS
 from uqharness.identification.replay_fit import TOLERANCE as OUTPUT_TOLERANCE
-from uqharness.parallel import process_count, worker_map
+from uqharness.parallel import SHORT_COMMAND_S, process_count, worker_map
 from uqharness.replay import (
     CONTROLS,
     UNSEEN,
@@ -489,7 +489,7 @@ def _fit_filter_error(
     data = filter_data(aircraft, flights, filter_request, start.result)
     with (
         ReplayFolder(aircraft, measured=request.measured, ideal=CONTROLS) as direct_model,
-        worker_map(request.workers) as pool,
+        worker_map(request.workers, SHORT_COMMAND_S) as pool,
     ):
         return identify_in_turbulence(
             start.result,

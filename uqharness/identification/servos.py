@@ -30,7 +30,7 @@ from uqharness.identification.linearised import (
 )
 from uqharness.identification.ordinary import is_ordinary
 from uqharness.identification.replay_fit import equation_error_start
-from uqharness.parallel import worker_map
+from uqharness.parallel import SHORT_COMMAND_S, worker_map
 from uqharness.replay import CONTROLS, LATE_ROWS, Flight, control_columns
 from uqharness.simulator import Aircraft
 
@@ -103,7 +103,7 @@ def choose_servos(
     # One flight is enough: servos are a property of the aircraft.
     busiest = [_busiest(f, moved, measured) for f in logged[:1]]
     unmeasured = tuple(c for c in CONTROLS if c not in measured)
-    with worker_map(workers) as pool:
+    with worker_map(workers, SHORT_COMMAND_S) as pool:
         card = _fit(aircraft, busiest, measured, (), pool)
         # Actuators without a lag are ideal already.
         if card is not None and not card.lagging:

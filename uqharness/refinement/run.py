@@ -29,7 +29,7 @@ from uqharness.identification.linearised import (
     positions,
     stage_models,
 )
-from uqharness.parallel import worker_map
+from uqharness.parallel import SHORT_COMMAND_S, worker_map
 from uqharness.plugin import bake_scales
 from uqharness.refinement.baseline import shifted_flights
 from uqharness.refinement.candidate_model import write_copy, write_staged
@@ -176,7 +176,7 @@ def _refine(job: Job, callback: Callback, forecast: Forecast) -> Refinement:
         job.out / STAGES_FOLDER if job.options.pbox else None,
         [*identity, *test_read.hashes],
     )
-    with worker_map(job.options.workers) as pool, scratch_folder() as scratch:
+    with worker_map(job.options.workers, SHORT_COMMAND_S) as pool, scratch_folder() as scratch:
         write = _writer(job, scratch.path / "models")
         # 2. Search for effects on the training flights, and correct the controls' time in all.
         data = _flight_data(job.aircraft, train_read)
