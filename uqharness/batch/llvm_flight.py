@@ -26,7 +26,16 @@ from uqharness.batch.llvm import (
     choose_target,
 )
 from uqharness.batch.passes import lower_program
-from uqharness.batch.program import BLOCK, Feeds, Program, Section, Stream, When, check_call
+from uqharness.batch.program import (
+    BLOCK,
+    Feeds,
+    Flyer,
+    Program,
+    Section,
+    Stream,
+    When,
+    check_call,
+)
 
 
 @dataclass(frozen=True)
@@ -67,29 +76,42 @@ class FlightKernel:
         return call.records
 
 
-def compile_program(program: Program, target: Target) -> FlightKernel:
-    """Compile a program; transcendental operations are expanded first."""
+def compile_program(program: Program, target: Target, quick: bool = False) -> FlightKernel:
+    """Compile a program; transcendental operations are expanded first. ``quick``: see
+    `build_code`.
+    """
     program = lower_program(program)
-    text = print_program(program, target)
-    code = build_code(text, "fly", target)
+    return _compile_text(program, target, print_program(program, target), quick)
+
+
+def _compile_text(program: Program, target: Target, text: str, quick: bool) -> FlightKernel:
+    """Compile a program's LLVM text."""
+    code = build_code(text, "fly", target, quick=quick)
     pointer, count = ctypes.c_void_p, ctypes.c_int64
     call = ctypes.CFUNCTYPE(None, *[pointer] * 5, *[count] * 3)(code.address)
     return FlightKernel(program, target, text, code.engine, call)
 
 
 INTERPRETED_CALLS = 10
-"""Calls of a few lanes that take as long as compiling."""
+"""Calls of a few lanes that take as long as compiling quickly."""
+QUICK_FRAMES = 45_000
+"""Frames of a block of lanes by whose time the machine code of all optimisations is faster than
+the quick one. It is the time of these optimisations; both grow with the program.
+"""
 
 
 class TieredFlyer:
-    """A program that is interpreted at first, and compiled once it has been called often.
+    """A program that is interpreted, then compiled quickly, then with all optimisations, the
+    longer it flies.
 
-    Both agree bit for bit, so that results do not depend on the number of calls.
+    All agree bit for bit, so that results do not depend on the number of calls. Without
+    ``interpreted`` it is compiled at once.
     """
 
-    def __init__(self, program: Program) -> None:
+    def __init__(self, program: Program, *, interpreted: bool = True) -> None:
         """Expand the program."""
-        self._interpreter, self._calls = Interpreter(program), 0
+        self._interpreter, self._is_interpreted = Interpreter(program), interpreted
+        self._calls = self._block_frames = 0
 
     @property
     def program(self) -> Program:
@@ -97,9 +119,20 @@ class TieredFlyer:
         return self._interpreter.program
 
     @cached_property
-    def _kernel(self) -> FlightKernel:
-        """The program, compiled for this processor."""
-        return compile_program(self.program, choose_target())
+    def _text(self) -> tuple[Target, str]:
+        """This processor and the program's LLVM text."""
+        target = choose_target()
+        return target, print_program(self.program, target)
+
+    @cached_property
+    def _quick(self) -> FlightKernel:
+        """The program, compiled quickly."""
+        return _compile_text(self.program, *self._text, quick=True)
+
+    @cached_property
+    def _optimised(self) -> FlightKernel:
+        """The program, compiled with all optimisations."""
+        return _compile_text(self.program, *self._text, quick=False)
 
     def fly(
         self,
@@ -111,7 +144,12 @@ class TieredFlyer:
     ) -> np.ndarray:
         """Fly frames; see `program.Flyer.fly`."""
         self._calls += 1
-        flyer = self._interpreter if self._calls <= INTERPRETED_CALLS else self._kernel
+        self._block_frames += frames * len(state)
+        flyer: Flyer
+        if self._is_interpreted and self._calls <= INTERPRETED_CALLS:
+            flyer = self._interpreter
+        else:
+            flyer = self._quick if self._block_frames < QUICK_FRAMES else self._optimised
         return flyer.fly(state, first_frame, frames, streams, stride)
 
 

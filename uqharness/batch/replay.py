@@ -22,8 +22,7 @@ from numpy.typing import NDArray
 
 from sysid.arrays import FloatArray
 from uqharness.batch.course import balance_propellers, reach_steady_state, settle
-from uqharness.batch.llvm import choose_target
-from uqharness.batch.llvm_flight import TieredFlyer, compile_program
+from uqharness.batch.llvm_flight import TieredFlyer
 from uqharness.batch.mission import Settler, initial_values, settlers_of
 from uqharness.batch.motion import (
     CONDITIONS,
@@ -116,9 +115,9 @@ class ReplayProgram:
         )
 
     @cached_property
-    def flyer(self) -> Flyer:
+    def flyer(self) -> TieredFlyer:
         """The program, compiled for this processor."""
-        return compile_program(self.program, choose_target())
+        return TieredFlyer(self.program, interpreted=False)
 
     @cached_property
     def initialisers(self) -> tuple[TieredFlyer, TieredFlyer]:
@@ -419,7 +418,7 @@ def make_states(
         renewed = lower_program(flight.renewed)
         retained = [name for name in stored if name in read]
         renewed = prune_slots(eliminate_dead_stores(fuse_sections(renewed), retained), retained)
-        renewer = compile_program(renewed, choose_target())
+        renewer = TieredFlyer(renewed, interpreted=False)
         read |= {*renewed.slots}
         slots = {**renewed.slots, **slots}
     ordered = [name for name in slots if name in read]
@@ -428,7 +427,7 @@ def make_states(
         ordered,
     )
     return StateProgram(
-        compile_program(program, choose_target()),
+        TieredFlyer(program, interpreted=False),
         fed.columns,
         frozenset(inputs),
         record_names,

@@ -4,6 +4,8 @@ pieces of time.
 
 from __future__ import annotations
 
+import itertools
+
 import numpy as np
 import pytest
 
@@ -44,9 +46,10 @@ def test_every_target_flies_the_bits_of_numpy(seed: int) -> None:
     expected = run_program(program, wanted_state, 1, FRAMES, feeds(FRAMES, LANES), 3)
     assert expected.shape == (len(program.records), 3 * BLOCK, FRAMES // 3)
     assert np.isfinite(expected).mean() > 0.5
-    for name, target in targets().items():
+    for (name, target), quick in itertools.product(targets().items(), (False, True)):
         state = start.copy()
-        got = compile_program(program, target).fly(state, 1, FRAMES, feeds(FRAMES, LANES), 3)
+        kernel = compile_program(program, target, quick=quick)
+        got = kernel.fly(state, 1, FRAMES, feeds(FRAMES, LANES), 3)
         assert same_bits(got, expected).all(), name
         assert same_bits(state, wanted_state).all(), name
 

@@ -10,6 +10,7 @@ import pytest
 from tests.helpers.few import few
 from uqharness import batch
 from uqharness.batch import llvm_flight
+from uqharness.batch.llvm import build_code, choose_target
 from uqharness.replay import CONTROLS, ReplayFolder
 from uqharness.replay.replay import RAW
 from uqharness.simulator import find_aircraft
@@ -71,13 +72,29 @@ def test_rows_do_not_depend_on_how_many_frames_lie_between_them(stride):
     assert some.tobytes() == every[::stride].tobytes()
 
 
-def test_rows_do_not_depend_on_whether_start_frames_are_compiled(monkeypatch):
+def test_rows_do_not_depend_on_how_frames_are_compiled(monkeypatch):
     rows = []
-    for calls in (10**9, 0):
+    for calls, quick_frames in ((10**9, 10**9), (0, 10**9), (0, 0)):
         monkeypatch.setattr(llvm_flight, "INTERPRETED_CALLS", calls)
+        monkeypatch.setattr(llvm_flight, "QUICK_FRAMES", quick_frames)
         rows.append(fly(1, lane())[0])
-    assert "_kernel" in vars(program(1).initialisers[0])
-    assert rows[0].tobytes() == rows[1].tobytes()
+    for flyer in (program(1).flyer, program(1).initialisers[0]):
+        assert {"_quick", "_optimised"} <= set(vars(flyer))
+    assert rows[0].tobytes() == rows[1].tobytes() == rows[2].tobytes()
+
+
+def test_quick_code_gives_way_to_optimised_code_in_the_cache(monkeypatch, tmp_path):
+    monkeypatch.setenv("UQ_CACHE", str(tmp_path))
+
+    def names_after(quick: bool) -> set[str]:
+        build_code.cache_clear()
+        llvm_flight.compile_program(program(1).program, choose_target(), quick)
+        return {path.name for path in (tmp_path / "objects").iterdir()}
+
+    (quick,) = names_after(True)
+    (optimised,) = names_after(False) - {quick}
+    (tmp_path / "objects" / quick).unlink()
+    assert names_after(True) == {optimised}
 
 
 DT_S_FORCED, INPUT_FORCED = 0.0025, "aero/Cm_q"
