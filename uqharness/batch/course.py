@@ -84,6 +84,7 @@ from uqharness.flight import (
     row_counts,
     score,
     scored_signals,
+    set_conditions,
     staged_mission,
     to_signals,
 )
@@ -168,7 +169,10 @@ def _initialise_distinct(lanes: LaneMission, specs: Sequence[FlightSpec]) -> Ini
     """Initialise flights, each in a lane."""
     count = len(specs)
     loaded = _load_starts(lanes, specs)
-    rows = [_set_properties(lanes, one, spec) for one, spec in zip(loaded, specs, strict=True)]
+    unset = _unset_properties(lanes, specs)
+    rows = [
+        unset | _set_properties(lanes, one, spec) for one, spec in zip(loaded, specs, strict=True)
+    ]
     values = start_state(
         {name: np.array([one.conditions[name] for one in loaded]) for name in CONDITIONS}
     )
@@ -460,6 +464,17 @@ def _set_properties(lanes: LaneMission, loaded: LoadedStart, spec: FlightSpec) -
     }
 
 
+def _unset_properties(lanes: LaneMission, specs: Sequence[FlightSpec]) -> dict[str, float]:
+    """Return the values in the XML of properties that some of the flights do not set."""
+    names = [frozenset(spec.properties) for spec in specs]
+    partial = sorted(frozenset.union(*names) - frozenset.intersection(*names))
+    if not partial:
+        return {}
+    fdm = lanes.mission.open()
+    set_conditions(fdm, lanes.mission, replace(specs[0], properties={}))
+    return {canonical(name): float(fdm[name]) for name in partial}
+
+
 def _check_retained(
     specs: Sequence[FlightSpec],
     assigned: Mapping[str, FloatArray],
@@ -468,7 +483,7 @@ def _check_retained(
     """Raise BadInputError if initialising changed a property that was set, because the model
     computes it.
     """
-    for name in specs[0].properties:
+    for name in dict.fromkeys(name for spec in specs for name in spec.properties):
         if name.startswith("ic/") or name in CHANGEABLE:
             continue
         expected, actual = assigned[canonical(name)], values[canonical(name)]
@@ -1197,20 +1212,31 @@ def record_many(specs: Sequence[FlightSpec]) -> list[RecordedFlight]:
     Raises BadInputError as `fly_many`.
     """
     results: dict[int, RecordedFlight] = {}
+    kinds: dict[Hashable, list[int]] = {}
     groups: dict[Hashable, list[int]] = {}
     # Flights of one program and one record length are flown together.
     for k, spec in enumerate(specs):
-        groups.setdefault(
-            (_program_key(spec), spec.duration_s, spec.burn_in_s, spec.record_rate_hz), []
-        ).append(k)
+        length = (spec.duration_s, spec.burn_in_s, spec.record_rate_hz)
+        kinds.setdefault((_program_key(spec, ()), length), []).append(k)
+    for kind, places in kinds.items():
+        every = frozenset(name for k in places for name in specs[k].properties)
+        for k in places:
+            names = frozenset(specs[k].properties)
+            # The nominal model sets no levels: it keeps those of the XML in the corners' program.
+            if not any(name.startswith("ic/") or name in CHANGEABLE for name in every - names):
+                names = every
+            groups.setdefault((kind, names), []).append(k)
     for places in groups.values():
         for part in _parts(specs, places):
             results.update(zip(part, _fly_alike([specs[k] for k in part]), strict=True))
     return [results[k] for k in range(len(specs))]
 
 
-def _program_key(spec: FlightSpec) -> tuple[Hashable, ...]:
-    """Return what decides which program a flight needs, beginning with its files."""
+def _program_key(spec: FlightSpec, names: Collection[str]) -> tuple[Hashable, ...]:
+    """Return what decides which program a flight needs, beginning with its files.
+
+    ``names`` are the properties that flights of the program set.
+    """
     fixed = tuple(sorted((n, float(v)) for n, v in spec.properties.items() if n.startswith(_FIXED)))
     air = (spec.turbulence != "none", spec.turbulence_source, spec.sensor_noise)
     moving = (
@@ -1218,7 +1244,7 @@ def _program_key(spec: FlightSpec) -> tuple[Hashable, ...]:
         None if spec.transient is None else spec.transient.coefficients,
     )
     files = (str(spec.aircraft), str(spec.script))
-    return (*files, air, moving, spec.record_rate_hz, fixed, tuple(sorted(spec.properties)))
+    return (*files, air, moving, spec.record_rate_hz, fixed, tuple(sorted(names)))
 
 
 def _parts(specs: Sequence[FlightSpec], places: Sequence[int]) -> Iterator[Sequence[int]]:
@@ -1233,25 +1259,27 @@ def _parts(specs: Sequence[FlightSpec], places: Sequence[int]) -> Iterator[Seque
     return (ordered[k : k + max_lanes] for k in range(0, len(ordered), max_lanes))
 
 
-def compiled_mission(spec: FlightSpec) -> CompiledMission:
+def compiled_mission(spec: FlightSpec, names: Collection[str] | None = None) -> CompiledMission:
     """Return the translated mission of a flight, from a cache if possible.
 
-    Raises BadInputError for what the batch engine does not support.
+    ``names`` are the properties that its flights set; by default those of ``spec``. Raises
+    BadInputError for what the batch engine does not support.
     """
     staged = staged_mission(spec)
-    key = (id(staged), _program_key(spec))
+    names = spec.properties if names is None else names
+    key = (id(staged), _program_key(spec, names))
     cached = _cache.get(key)
     # A mission that was staged anew needs a new program.
     if cached is None or cached.staged is not staged:
         signals = scored_signals(staged)
         # Integrators and gravity model select the program; all other properties are inputs.
-        inputs = [name for name in spec.properties if not name.startswith(_FIXED)]
+        inputs = [name for name in names if not name.startswith(_FIXED)]
         needed = [s.property for s in signals.values()] + [
             s.over for s in signals.values() if s.over is not None
         ]
         records = list(dict.fromkeys([TIME, *needed, HEIGHT, SPEED, OUT_OF_RANGE]))
         # A campaign flies copies of one aircraft, which each process translates once.
-        content = (staged.content, _program_key(spec)[2:], tuple(records))
+        content = (staged.content, _program_key(spec, names)[2:], tuple(records))
         lanes = _translations.get(content)
         if lanes is None:
             lanes = _translations[content] = make_mission(
@@ -1276,7 +1304,8 @@ def compiled_mission(spec: FlightSpec) -> CompiledMission:
 
 def _fly_alike(specs: Sequence[FlightSpec]) -> list[RecordedFlight]:
     """Fly flights of one program."""
-    course = Course.start(compiled_mission(specs[0]), specs)
+    names = dict.fromkeys(name for spec in specs for name in spec.properties)
+    course = Course.start(compiled_mission(specs[0], names), specs)
     course.fly()
     return course.recorded()
 

@@ -282,6 +282,17 @@ def test_copies_of_an_aircraft_are_translated_once(tmp_path):
     assert course.compiled_mission(copy).lanes.flight.frame is not mine.lanes.flight.frame
 
 
+def test_the_nominal_model_flies_in_the_program_of_the_corners():
+    course.forget()
+    flights = [spec(duration_s=2.0, properties=levels) for levels in ({}, CORNER, {})]
+    together = fly_many(flights)
+    assert len(course._translations) == 1
+    course.forget()
+    alone = [fly_many([flight])[0] for flight in flights]
+    assert [*map(_as_bytes, together)] == [*map(_as_bytes, alone)]
+    assert _as_bytes(alone[0]) != _as_bytes(alone[1])
+
+
 def test_metrics_are_those_of_jsbsim():
     flight = spec(duration_s=20.0, **EXPENSIVE)
     theirs, (ours,) = fly(flight), fly_many([flight])
