@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import itertools
 import math
+import subprocess
+import sys
 
 import numpy as np
 import pytest
@@ -225,6 +227,21 @@ def samples(values: np.ndarray, airs: bool = True) -> list[Sample]:
 
 def half_width(box) -> float:
     return float((box.band_upper - box.upper).max())
+
+
+@pytest.mark.parametrize("flights", [3, 50, 140, 141])
+@pytest.mark.parametrize("corners", [1, 81, 4096])
+def test_the_band_is_that_of_scipys_distribution(flights: int, corners: int) -> None:
+    exact = stats.kstwo.isf(0.05 / corners, flights)
+    assert band_half_width(flights, corners, 0.95) == math.ceil(exact * 1e9) / 1e9
+
+
+def test_a_campaign_of_many_corners_needs_no_scipy_stats() -> None:
+    code = (
+        "import sys; from uqharness.statistics.pbox import band_half_width as width;"
+        " width(50, 81, 0.95); sys.exit('scipy.stats' in sys.modules)"
+    )
+    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
 
 
 def test_one_corner_has_about_kolmogorovs_band():
