@@ -278,6 +278,8 @@ PARTS = 4
 alone.
 """
 _GROUP_SHARE = 0.01
+_ALONE_S = 2.0
+"""Time [s] that a process takes to start and to translate the aircraft."""
 _START_FAILURES_ALLOWED = 3
 _START_S = 120.0
 _GOODBYE_S = 2.0
@@ -409,6 +411,16 @@ class ProcessExecutor:
         self._start_failures, self._scripted = 0, False
         self._keep = keep
         self._kept: list[_Worker] = []
+        self._alone_until_s = 0.0
+
+    def adopt(self, other: ProcessExecutor) -> None:
+        """Take over the processes of another executor, which flew with the same function.
+
+        They fly alone at first: a short campaign is done before further processes have started.
+        """
+        self._kept, other._kept = [*self._kept, *other._kept], []
+        if self._kept:
+            self._alone_until_s = time.monotonic() + _ALONE_S
 
     def run(
         self, fly: FlightFunction, flights: Iterable[tuple[str, FlightSpec]]
@@ -495,8 +507,9 @@ class ProcessExecutor:
         it.
         """
         tasks = itertools.chain(_drained(retry_queue), source)
+        is_alone = bool(pool) and time.monotonic() < self._alone_until_s
         for depth in range(_QUEUED_PER_WORKER):
-            for slot in range(self.workers):
+            for slot in range(len(pool) if is_alone else self.workers):
                 if slot < len(pool) and len(pool[slot].tasks) > depth:
                     continue
                 task = next(tasks, None)

@@ -495,15 +495,14 @@ def _check_start(
 ) -> Pace | None:
     """Compare the first seconds of each condition in both engines and return the pace.
 
-    ``process`` is a `throwaway_process`, which ends. Raises EnginesDifferError and BadInputError.
+    ``process`` is a `throwaway_process`. Raises EnginesDifferError and BadInputError.
     """
     start_s = time.monotonic()
-    with contextlib.closing(process):
-        judge.begin(compare_start(engines, cases, process))
-        # The run pays for processes and compilation once more.
-        startup_s = time.monotonic() - start_s
-        pace = batch_pace(engines, cases, process)
-        return None if pace is None else dataclasses.replace(pace, startup_s=startup_s)
+    judge.begin(compare_start(engines, cases, process))
+    # The run pays for processes and compilation once more.
+    startup_s = time.monotonic() - start_s
+    pace = batch_pace(engines, cases, process)
+    return None if pace is None else dataclasses.replace(pace, startup_s=startup_s)
 
 
 def _refuse_if_not_flown(outcome: CaseOutcome, brief: FlightSpec) -> None:
@@ -624,6 +623,10 @@ def _fly_missing(
             )
             before_flying(pace, done_before)
             start_checked, start_s = True, time.monotonic()
+            # The process of the check has translated the aircraft already.
+            if judge is not None and hasattr(executor, "adopt"):
+                executor.adopt(checker)
+            checker.close()
         if judge is None:
             batches = executor.run(engines.fly, ((case.case_id, case.flight) for case in missing))
         else:

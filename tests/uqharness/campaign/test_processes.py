@@ -56,6 +56,20 @@ def test_serial_and_processes_agree():
     assert not set(multiprocessing.active_children()) - remaining
 
 
+def test_a_short_campaign_ends_in_the_process_of_the_check(monkeypatch):
+    cases = flights(30)
+    check = ProcessExecutor(1, "fork", keep=True)
+    fly_all(check, fakes.steady, cases[:1])
+    executor = ProcessExecutor(3, "fork")
+    executor.adopt(check)
+    (child,) = multiprocessing.active_children()
+    monkeypatch.setattr(executor, "_start", None)
+    assert fly_all(executor, fakes.steady, cases) == fly_all(SerialExecutor(), fakes.steady, cases)
+    assert not child.is_alive()
+    # Nothing is left to close.
+    check.close()
+
+
 def test_crashes_are_counted_with_their_reason():
     result = fly_all(ProcessExecutor(2, "fork"), fakes.hazardous, flights(10))
     kinds = {
