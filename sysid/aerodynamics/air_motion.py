@@ -429,6 +429,9 @@ class GustStates(NamedTuple):
         states are then the heading from it [rad] and 0. Needs ``turning_with`` False.
     azimuth_rad, psi_rad : float
         That azimuth, and the mean heading of the segment.
+    ahead_mps : float
+        Mean gust along the body's x axis, in axes of the body [m/s]. It changes slowly and no
+        sensor measures it, but it turns with the body: alpha changes by its product with q.
     p_length, q_length, r_length : float
         Lengths of p_h, q_h and r_h in units of the standard's, 4b/pi, 4b/pi and 3b/pi [-].
     q_share, r_share : float
@@ -443,6 +446,7 @@ class GustStates(NamedTuple):
     in_earth: bool = False
     azimuth_rad: float = 0.0
     psi_rad: float = 0.0
+    ahead_mps: float = 0.0
     p_length: float = 1.0
     q_length: float = 1.0
     r_length: float = 1.0

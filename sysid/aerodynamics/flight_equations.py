@@ -167,10 +167,15 @@ def turning(gusts: Any, x: Any, trig: Trig) -> tuple[Any, Any, Any]:
     heading or v, w that turn with the body.
     """
     if gusts.in_body:
-        # Minus omega x gust; the gust along the path is left out, it is much smaller than V.
+        # Minus omega x gust.
         _, S, W = gust_axes(gusts, x, trig)
         right, below = gusts.turning_with * (x[11] - S), gusts.turning_with * (x[12] - W)
-        return x[5] * right - x[4] * below, x[3] * below, -x[3] * right
+        ahead = gusts.turning_with * gusts.ahead_mps
+        return (
+            x[5] * right - x[4] * below,
+            x[3] * below - x[5] * ahead,
+            x[4] * ahead - x[3] * right,
+        )
     sf, cf, st, ct = trig[:4]
     U, S, _ = heading(x, trig)
     dpsi = gusts.turning_with * heading_rate(x, trig)

@@ -190,6 +190,8 @@ class RigidSlopes:
             mean_rate = 0.5 * (psi_rates(self.x[:-1]) + psi_rates(self.end))
             end_turn = self.turn[:-1] + self.dt_s * mean_rate
             defect = with_gust_states(self.end, gusts, end_turn) - states[1:]
+        if gusts is not None and gusts.ahead_mps:
+            defect += self._turned_by_mean_gust(states, gusts)
         # The air states in still air depend on the first eight: differentiate by complex steps.
         start = np.empty((size, 8))
         for j in range(8):
@@ -197,6 +199,18 @@ class RigidSlopes:
             first[:, j] += 1e-20j
             start[:, j] = with_gust_states(first, gusts, self.turn[:1])[0].imag / 1e-20
         return Steps(self.dt_s, phi, g0, g1, defect, H, D, self.y_ref.copy(), start)
+
+    def _turned_by_mean_gust(self, states: FloatArray, gusts: GustStates) -> FloatArray:
+        """Return the change (n - 1, 13) of the states over each step by a mean gust that turns with
+        the body.
+        """
+        x, still = states.T, self.rate.T
+        forced = np.einsum("nij,jn->in", self.slopes[:, :8, 11:14], np.array(gusts.turning(x)))
+        first, second = (
+            np.array(gusts.rates(x, tuple(r[[0, 1, 2, 6, 7]]))) for r in (still + forced, still)
+        )
+        change = np.concatenate([forced, first - second]).T
+        return np.asarray(0.5 * self.dt_s * (change[:-1] + change[1:]))
 
 
 def rigid_slopes(

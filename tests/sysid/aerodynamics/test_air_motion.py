@@ -264,3 +264,13 @@ def test_gusts_turn_with_the_heading():
         states.turning(x), body_axes(phi, theta) @ [v * dpsi, -u * dpsi, 0.0], atol=1e-14
     )
     assert not np.any(states._replace(turning_with=False).turning(x))
+
+
+def test_gusts_turn_with_the_body():
+    gust, rates = np.array([1.5, -0.8, 0.6]), np.array([0.4, -0.3, 0.2])
+    states = GustStates(GUST_STATES_B, in_body=True, ahead_mps=gust[0])
+    specific = np.array([V0, 0.04, -0.03, *rates, 0.5, 0.2])
+    x = np.array([*specific, *states.start(specific)])
+    x[11:] += gust[1:]
+    u, v, w = -np.cross(rates, gust)
+    np.testing.assert_allclose(states.turning(x), [u, v, w], atol=1e-14)

@@ -207,6 +207,20 @@ def test_one_set_of_rigid_slopes_serves_every_air(axes: dict[str, Any], by_flow:
         np.testing.assert_allclose(rigid.with_gusts(gusts).phi, expected, atol=2e-6)
 
 
+def test_a_mean_gust_that_turns_with_the_body_forces_all_states() -> None:
+    """By the difference of the whole equations; 5 % of V ahead is 5 % of q in alpha's rate."""
+    axial = reference(flight(40), OpenEquations(TERMS, (), ("V_mps",), MASS))
+    still = GustStates(MASS.b, in_body=True)
+    ahead = still._replace(ahead_mps=1.0)
+    states = with_gust_states(axial.x, still, axial.turn)
+    rate = rates(axial, MASS, states, gusts=ahead) - rates(axial, MASS, states, gusts=still)
+    rigid = rigid_slopes(axial, MASS)
+    change = rigid.with_gusts(ahead).defect - rigid.with_gusts(still).defect
+    np.testing.assert_allclose(change, 0.5 * DT * (rate[:-1] + rate[1:]), atol=1e-9)
+    share = change[:, 1] / (DT * axial.x[:-1, 4] / axial.x[:-1, 0])
+    np.testing.assert_allclose(share, 1.0, atol=0.1)
+
+
 def test_a_step_is_the_exponential_and_inputs_are_linear_in_between() -> None:
     rng = np.random.default_rng(5)
     A, B, h = rng.standard_normal((4, 4)), rng.standard_normal((4, 6)), 0.05

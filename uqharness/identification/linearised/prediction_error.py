@@ -96,8 +96,8 @@ DELAY_GRID = 0.05
 STEP_SHARE_RANGE = 0.125, 4.0
 """Smallest and largest share of a step."""
 NEARBY = 0.01
-"""Relative change of a length, or change of the azimuth [rad], to which the innovations'
-sensitivity is found.
+"""Relative change of a length, or change of the azimuth [rad] or of the gust ahead [m/s], to which
+the innovations' sensitivity is found.
 """
 TOLERANCE, ITERATIONS = 0.2, 10
 """Length of a step, in standard errors, that ends the iteration, and the most iterations."""
@@ -720,15 +720,16 @@ def _with_free_air(
     linear: _LinearSystems, steps: Sequence[Steps], turbulence: TurbulenceModel, noise: FloatArray
 ) -> list[FilteredSegment]:
     """Filter segments; columns are projected on what no other noise of a state, no other length of
-    the air's roll, pitch and yaw, and no other azimuth of its axes would do.
+    the air's roll, pitch and yaw, no other azimuth of its axes, and no mean gust ahead would do.
     """
     rows, process = linear.data.output_rows, turbulence.process
     airs = []
     names = ["p_length", "q_length", "r_length"]
     names += ["azimuth_rad"] if turbulence.states[0].in_earth else []
+    names += ["ahead_mps"] if turbulence.states[0].in_body else []
     for name in names:
         nearby = [
-            s._replace(**{name: value + NEARBY * (1.0 if name == "azimuth_rad" else value)})
+            s._replace(**{name: value + NEARBY * (value if name.endswith("length") else 1.0)})
             for s, value in ((s, getattr(s, name)) for s in turbulence.states)
         ]
         pairs = zip(linear.all(nearby), linear.measured, strict=True)
