@@ -24,6 +24,7 @@ from uqharness.identification.linearised import (
     Trajectory,
     best_replay,
     make_flight_data,
+    parameter_limits,
     refit,
     stage_models,
     with_jumping_flights,
@@ -183,10 +184,7 @@ def _fit(
 ) -> _ServoFit | None:
     """Fit the flights with one kind of servos; None where the model cannot fly them."""
     names = tuple(aircraft.card.parameters)
-    limits = {
-        n: c.bounds if c.bounds is not None else (-math.inf, math.inf)
-        for n, c in aircraft.card.parameters.items()
-    }
+    limits = parameter_limits(aircraft)
     # The same model flies with the card's servos or with ideal ones.
     data = make_flight_data(aircraft, flights, measured, ideal)
     with stage_models(aircraft, data) as models:

@@ -49,6 +49,7 @@ from uqharness.identification.linearised import (
     is_turbulent,
     make_flight_data,
     observations_of,
+    parameter_limits,
     point_of,
     refit,
     replay_at,
@@ -67,6 +68,7 @@ from uqharness.refinement.candidates import (
     with_servo_limits,
 )
 from uqharness.refinement.estimators import (
+    Estimator,
     Limits,
     ReplayEstimator,
     estimator_for,
@@ -280,58 +282,28 @@ def fit_baseline(
 
     ``shifts`` [s] of the controls are applied to the flights as recorded.
     """
-    requested = tuple(aircraft.card.parameters)
-    if not requested:
+    if not aircraft.card.parameters:
         raise BadInputError(
             f"aircraft '{aircraft.name}': its airframe.toml lists no [parameters], which"
             " must name the parameters to identify first"
         )
-    # Flights with their controls shifted are other data: made from the records, not from
-    # shifted ones.
-    suffix = len(shifts) or ""
     data = recorded
     if shifts:
+        # Made from the records, not from flights that were shifted before.
         flights = shifted_flights(recorded.flights, sum(shifts))
         data = make_flight_data(aircraft, flights, recorded.positions, recorded.ideal)
-    unlimited = (-np.inf, np.inf)
-    limits = {
-        n: unlimited if c.bounds is None else c.bounds for n, c in aircraft.card.parameters.items()
-    }
-    # One staged copy of the aircraft serves both estimators.
-    turbulent_fit: TurbulentFit | None = None
-    with stage_models(aircraft, data) as models:
-        callback("re-identifying the parameters")
-        data = with_jumping_flights(data, models.model)
-        replayed = stages(
-            f"parameters{suffix}",
-            BaselineFit,
-            lambda: fit_without_effects(aircraft, models, data, requested, limits, pool),
-        )
-        # The noise of the fit weighs the residuals from here on.
-        notes, fitted = replayed.notes, replace(data, noise=replayed.noise)
-        effects = candidate_effects(fitted, requested, extra)
-        if is_turbulent(fitted, replayed.fit.trajectory):
-            callback(
-                "turbulent air: predicting one sample ahead, scoring"
-                f" {len(effects)} candidate effects"
-            )
-            turbulent_fit = stages(
-                f"air{suffix}",
-                TurbulentFit,
-                lambda: fit_in_turbulence(aircraft, models, fitted, replayed, limits, pool),
-            )
-            # Missing effects, too, leave what looks like turbulence: the likelihood decides,
-            # with all candidates in calm air against none in turbulence.
-            calm_cost = least_cost_in_calm_air(fitted, replayed.fit, effects)
-            in_calm_air = not turbulent_fit.turbulence.is_turbulent
-            if in_calm_air or calm_cost < turbulent_fit.neg2_log_likelihood:
-                turbulent_fit, notes = None, [*notes, CALM_AFTER_ALL]
-    if turbulent_fit is None:
-        callback(f"scoring {len(effects)} candidate effects")
+    chosen = _fit_in_likelier_air(
+        aircraft,
+        data,
+        extra,
+        f"{len(shifts) or ''}",
+        pool=pool,
+        callback=callback,
+        stages=stages,
+    )
     # Linearise about the model of the chosen estimator, with every candidate as a column.
-    model = turbulent_fit or with_residual_noise(fitted, replayed.fit)
-    estimator, fit = estimator_for(model.turbulence), model.fit
-    data = with_servo_limits(model.data, fit, estimator)
+    fit, effects, estimator = chosen.model.fit, chosen.effects, chosen.estimator
+    data = with_servo_limits(chosen.model.data, fit, estimator)
     # A common delay of the controls competes, unless it was corrected before.
     competes = len(shifts) < MAX_CORRECTIONS and not data.late
     scored = [*effects, CONTROLS_LATE] if competes else effects
@@ -341,14 +313,78 @@ def fit_baseline(
     context = SearchContext(
         data,
         fit,
-        replayed.names if turbulent_fit is None else replayed.excited,
+        chosen.names,
         {e.key: e for e in effects},
-        limits,
+        parameter_limits(aircraft),
         estimator.critical_t(information, free, eligible(effects, data, free, information)),
-        model.neg2_log_likelihood,
+        chosen.model.neg2_log_likelihood,
         estimator,
     )
-    return Baseline(context, information, competes, notes)
+    return Baseline(context, information, competes, chosen.notes)
+
+
+@dataclass(frozen=True)
+class _ChosenFit:
+    """The model without effects, fitted in calm air or in turbulence.
+
+    ``names`` are its estimated parameters, ``effects`` the candidates for these flights.
+    """
+
+    model: ModelFit
+    names: tuple[str, ...]
+    effects: list[Effect]
+    notes: list[str]
+
+    @property
+    def estimator(self) -> Estimator:
+        """The estimator of the fit."""
+        return estimator_for(self.model.turbulence)
+
+
+def _fit_in_likelier_air(
+    aircraft: Aircraft,
+    data: FlightData,
+    extra: Sequence[Effect],
+    suffix: str,
+    *,
+    pool: Processes,
+    callback: Callback,
+    stages: Stages,
+) -> _ChosenFit:
+    """Fit by output error, and by prediction error if the residuals look like turbulence.
+
+    Missing effects can look like it, too: all candidates in calm air compete against none in
+    turbulence. ``suffix`` distinguishes stages of flights with other shifts.
+    """
+    requested, limits = tuple(aircraft.card.parameters), parameter_limits(aircraft)
+    # One staged copy of the aircraft serves both estimators.
+    with stage_models(aircraft, data) as models:
+        callback("re-identifying the parameters")
+        data = with_jumping_flights(data, models.model)
+        calm = stages(
+            f"parameters{suffix}",
+            BaselineFit,
+            lambda: fit_without_effects(aircraft, models, data, requested, limits, pool),
+        )
+        # The noise of the fit weighs the residuals from here on.
+        notes, fitted = calm.notes, replace(data, noise=calm.noise)
+        effects = candidate_effects(fitted, requested, extra)
+        if is_turbulent(fitted, calm.fit.trajectory):
+            callback(
+                "turbulent air: predicting one sample ahead, scoring"
+                f" {len(effects)} candidate effects"
+            )
+            turbulent = stages(
+                f"air{suffix}",
+                TurbulentFit,
+                lambda: fit_in_turbulence(aircraft, models, fitted, calm, limits, pool),
+            )
+            calm_cost = least_cost_in_calm_air(fitted, calm.fit, effects)
+            if turbulent.turbulence.is_turbulent and not calm_cost < turbulent.neg2_log_likelihood:
+                return _ChosenFit(turbulent, calm.excited, effects, notes)
+            notes = [*notes, CALM_AFTER_ALL]
+    callback(f"scoring {len(effects)} candidate effects")
+    return _ChosenFit(with_residual_noise(fitted, calm.fit), calm.names, effects, notes)
 
 
 def least_cost_in_calm_air(

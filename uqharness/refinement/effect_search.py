@@ -191,28 +191,21 @@ class EffectSearch:
         trail = [f"round 1: {line}" for line in baseline.reselection.trail]
         competitors_left = tuned.MAX_COMPETITORS
         for number in range(2, MAX_MODELS + 2):
-            # Propose: stop at a model that proposes itself.
+            # Propose. Stop at a model that proposes itself.
             proposal = reference.reselection
             if reference.is_stationary or not proposal.chosen:
                 break
-            # Fit the proposal, and competing ones where its newest effect is doubtful.
+            # Fit. The model is None if neither replays nor a filter follow the flights with it.
             self.callback(f"round {number}: fitting {listed(proposal.values)}")
             name = f"{label}{number}"
             model = self.fitter.fit(context, proposal, reference, name)
             if model is not None:
                 trail += [f"round {number}: {line}" for line in model.reselection.trail]
-            competitors = competing_proposals(context, model, proposal, reference)[
-                :competitors_left
-            ]
+            # Compare with competing proposals, if the newest effect is doubtful.
+            competitors = competing_proposals(context, model, proposal, reference)
+            competitors = competitors[:competitors_left]
             competitors_left -= len(competitors)
-            if competitors:
-                texts = "; ".join(listed(o.values) for o in competitors)
-                self.callback(f"fitting competing effects: {texts}")
-            # Compare: one at a time, because a model takes a tenth of a gigabyte and more.
-            for k, other in enumerate(competitors):
-                trial = self.fitter.fit(context, other, reference, f"{name}-instead{k}")
-                model = best_model([m for m in (trial, model) if m is not None])
-                del trial
+            model = self._best_competitor(model, competitors, reference, name)
             if model is None:
                 trail.append(
                     f"round {number}: the flights can be neither replayed nor filtered with these"
@@ -225,7 +218,7 @@ class EffectSearch:
             # Keep the best of each set of samples, and the last.
             models = [*(m for m in models if m is best_model([*models, m])), model]
             reference = model
-            # Stop where the search would cycle.
+            # Stop before a cycle.
             visited.add(model.keys)
             following = frozenset(model.reselection.values)
             if following in visited and following != model.keys:
@@ -233,6 +226,26 @@ class EffectSearch:
                 break
         best, lines = self._best_of(models, baseline, f"{label}-kept")
         return SearchOutcome(best, (*trail, *lines))
+
+    def _best_competitor(
+        self,
+        model: CandidateModel | None,
+        competitors: Sequence[Selection],
+        reference: CandidateModel,
+        label: str,
+    ) -> CandidateModel | None:
+        """Return the best of a model and those of competing proposals; None if none can be
+        fitted.
+        """
+        if competitors:
+            texts = "; ".join(listed(o.values) for o in competitors)
+            self.callback(f"fitting competing effects: {texts}")
+        # One at a time, because a model takes a tenth of a gigabyte and more.
+        for k, other in enumerate(competitors):
+            trial = self.fitter.fit(self.context, other, reference, f"{label}-instead{k}")
+            model = best_model([m for m in (trial, model) if m is not None])
+            del trial
+        return model
 
     def _best_of(
         self, models: Sequence[CandidateModel], baseline: CandidateModel, label: str

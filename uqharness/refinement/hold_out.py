@@ -35,6 +35,7 @@ from uqharness.identification.linearised import (
     effect_columns,
     join_columns,
     one_step_estimates,
+    parameter_limits,
     replay_at,
     stage_models,
     with_jumping_flights,
@@ -666,11 +667,10 @@ def refit_remaining(
     if moves_sensors(data, point):
         return model
     names = [n for n in chosen.names if n in point.values]
-    bounds = {n: c.bounds for n, c in complete.card.parameters.items() if c.bounds is not None}
-    withdrawn = effects.keys() - values.keys()
+    limits, withdrawn = parameter_limits(complete), effects.keys() - values.keys()
     with stage_models(complete, data) as models:
         linear = replay_at(models.model, data, point, pool)
-        fit = fit_output_error(models.model, data, point, names, bounds, pool, absent=withdrawn)
+        fit = fit_output_error(models.model, data, point, names, limits, pool, absent=withdrawn)
     if fit is None or fit.cost > linear.cost:
         return model
     remaining = carried_effects(data).keys() & values.keys()

@@ -224,24 +224,23 @@ def _refine(job: Job, callback: Callback, forecast: Forecast) -> Refinement:
         # 5. Write the aircraft, and the one without effects beside it.
         callback("writing the aircraft")
         earlier_damage = checksums.remove_sums(job.out)
-        placed = _place(write(hold_out.result), job.aircraft, job.out)
-        baked = bake_scales(placed.folder) if job.options.bake else None
-        target = placed if baked is None else find_aircraft(placed.folder)
-        searches = {"before": without_effects(chosen), "after": hold_out.result}
+        target = _place(write(hold_out.result), job.aircraft, job.out)
+        baked = bake_scales(target.folder) if job.options.bake else None
+        target = target if baked is None else find_aircraft(target.folder)
+        models, results = {"before": target}, {"before": hold_out.result}
         if hold_out.result.selection.chosen:
-            before = _place(write(searches["before"]), job.aircraft, job.out / "before")
+            plain = without_effects(chosen)
+            before = _place(write(plain), job.aircraft, job.out / "before")
             models = {"before": before, "after": target}
+            results = {"before": plain, "after": hold_out.result}
         else:
             # One model is both.
-            models, searches = {"before": target}, {"before": hold_out.result}
             _remove_stale(job.out, job.aircraft)
         # 6. Intervals of the coefficients' errors, of both models.
         callback("intervals of both models")
         jobs = [
-            _interval_job(
-                job, searches[name], model_aircraft, chosen, complete, train=train, test=test
-            )
-            for name, model_aircraft in models.items()
+            _interval_job(job, results[name], models[name], chosen, complete, (train, test))
+            for name in models
         ]
         intervals = hold_out_stages(
             "intervals", list[Intervals], lambda: list(pool(fit_intervals, jobs))
@@ -292,13 +291,13 @@ def _interval_job(
     target: Aircraft,
     chosen: SearchResult,
     complete: Aircraft,
-    *,
-    train: FlightSet,
-    test: FlightSet,
+    flights: tuple[FlightSet, FlightSet],
 ) -> IntervalJob:
-    """Return the job that makes the intervals of a model, written as the aircraft ``target``."""
+    """Return the job that makes the intervals of a model, written as the aircraft ``target``, on
+    training and hold-out ``flights``.
+    """
     aircraft_and_values = flown_as(model, chosen, complete, lambda _: target)
-    return IntervalJob(target, *aircraft_and_values, train, test, bool(job.ideal_servos))
+    return IntervalJob(target, *aircraft_and_values, *flights, bool(job.ideal_servos))
 
 
 def file_hash(path: Path) -> str:

@@ -40,6 +40,7 @@ from uqharness.refinement.hold_out import (
     linearise_as_written,
     point_as_written,
 )
+from uqharness.refinement.search_result import SearchResult
 from uqharness.refinement.write_xml import GRID, property_of_table, write_table
 from uqharness.results.refinement import HoldOutTest as HoldOutDocument
 from uqharness.results.refinement import ResidualTables
@@ -72,34 +73,12 @@ def find_smooth_term(
     """Return the aircraft with the smooth term that explains most of the residuals, and the term's
     part of refinement.json; or the reason why there is none.
     """
-    train, test = hold_out.train.dataset, hold_out.test.dataset
-    result = hold_out.result
-    curves = CurveFits(result, result.after)
-    # Every state in every coefficient.
-    fits = [f for c in COEFFICIENTS for f in curves.fit_each(curves.terms(c))]
-    best = max(fits, key=lambda f: f.merit, default=None)
-    if best is None:
+    test, result = hold_out.test.dataset, hold_out.result
+    flown_term, tried = _likeliest_term(result, hold_out.train.dataset, write, pool)
+    if not tried:
         return "no state varies on the training flights"
-    flown_term = (
-        _fly_twice(curves, best, train, write, pool) if best.stands_out(len(fits)) else None
-    )
-    if flown_term is None or excess_residuals(train.data, flown_term.evaluation, result.estimator):
-        # One state is not enough: every state times every other, in the coefficient of the best.
-        coefficient = best.term.coefficient
-        products = [
-            f for times in STATES for f in curves.fit_each(curves.terms(coefficient, times))
-        ]
-        fits += products
-        second = max(products, key=lambda f: f.merit, default=best)
-        if second.merit > best.merit and second.stands_out(len(fits)):
-            other = _fly_twice(curves, second, train, write, pool)
-            flown_term = min(
-                (f for f in (flown_term, other) if f is not None),
-                key=lambda f: f.evaluation.neg2_log_likelihood,
-                default=None,
-            )
     if flown_term is None:
-        return f"no smooth term explains more than the best of the {len(fits)} tried does by chance"
+        return f"no smooth term explains more than the best of the {tried} tried does by chance"
     estimate, aircraft, on_train = flown_term.estimate, flown_term.aircraft, flown_term.evaluation
     fit, term = estimate.fit, estimate.fit.term
     if not on_train.neg2_log_likelihood < hold_out.train.after.neg2_log_likelihood:
@@ -111,11 +90,14 @@ def find_smooth_term(
     if verdict.gap == "grew":
         return f"the hold-out residuals grew with a {term.name}"
     tables = {}
-    for key, side, after in (("train", hold_out.train, on_train), ("test", hold_out.test, on_test)):
-        if side.after.replays is not None:
+    for key, flights, after in (
+        ("train", hold_out.train, on_train),
+        ("test", hold_out.test, on_test),
+    ):
+        if flights.after.replays is not None:
             point = point_as_written(estimate.result)
-            after = with_replays(after, aircraft, side.dataset, pool, point)
-        tables[key] = residual_tables(side.data, side.after, after)
+            after = with_replays(after, aircraft, flights.dataset, pool, point)
+        tables[key] = residual_tables(flights.data, flights.after, after)
     return aircraft, SmoothTermDocument(
         coefficient=term.coefficient,
         state=term.state,
@@ -128,8 +110,8 @@ def find_smooth_term(
         in_place_of=[
             result.effects[k].name for k in result.selection.values if k in estimate.replaced
         ],
-        tried=len(fits),
-        p=min(1.0, flown_term.searched.p * len(fits)),
+        tried=tried,
+        p=min(1.0, flown_term.searched.p * tried),
         twice_log_likelihood=flown_term.searched.ratio,
         **_curve_document(flown_term, tables["train"]),
         test=HoldOutDocument(
@@ -140,6 +122,40 @@ def find_smooth_term(
         ),
         gap=tables,
     )
+
+
+def _likeliest_term(
+    result: SearchResult, train: Dataset, write: Write, pool: Processes
+) -> tuple[_FlownTerm | None, int]:
+    """Return the simulated term that explains most, None if chance gives as much, and the number
+    of terms that were tried.
+    """
+    curves = CurveFits(result, result.after)
+    # Every state in every coefficient.
+    fits = [f for c in COEFFICIENTS for f in curves.fit_each(curves.terms(c))]
+    best = max(fits, key=lambda f: f.merit, default=None)
+    if best is None:
+        return None, 0
+    flown_term = None
+    if best.stands_out(len(fits)):
+        flown_term = _fly_twice(curves, best, train, write, pool)
+    if flown_term is not None and not excess_residuals(
+        train.data, flown_term.evaluation, result.estimator
+    ):
+        return flown_term, len(fits)
+    # One state is not enough: every state times every other, in the coefficient of the best.
+    coefficient = best.term.coefficient
+    products = [f for times in STATES for f in curves.fit_each(curves.terms(coefficient, times))]
+    fits += products
+    second = max(products, key=lambda f: f.merit, default=best)
+    if second.merit > best.merit and second.stands_out(len(fits)):
+        other = _fly_twice(curves, second, train, write, pool)
+        flown_term = min(
+            (f for f in (flown_term, other) if f is not None),
+            key=lambda f: f.evaluation.neg2_log_likelihood,
+            default=None,
+        )
+    return flown_term, len(fits)
 
 
 def _fly_twice(

@@ -10,6 +10,7 @@ from .flight_data import is_turbulent as is_turbulent
 from .flight_data import jump_share_name as jump_share_name
 from .flight_data import make_flight_data as make_flight_data
 from .flight_data import output_noise as output_noise
+from .flight_data import parameter_limits as parameter_limits
 from .flight_data import stage_models as stage_models
 from .flight_data import with_card_noise as with_card_noise
 from .flight_data import with_estimator_noise as with_estimator_noise

@@ -255,6 +255,14 @@ class Trajectory:
 # Preparation: segments, measured outputs and their noise.
 
 
+def parameter_limits(aircraft: Aircraft) -> dict[str, tuple[float, float]]:
+    """Return lower and upper bound of each parameter of the aircraft's card."""
+    unlimited = (-np.inf, np.inf)
+    return {
+        n: unlimited if c.bounds is None else c.bounds for n, c in aircraft.card.parameters.items()
+    }
+
+
 def make_flight_data(
     aircraft: Aircraft,
     flights: Sequence[Flight],

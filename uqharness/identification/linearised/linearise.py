@@ -541,11 +541,11 @@ def _segment_columns(
         if e.key == "effect/mass/cg_x":
             # The accelerometers do not move with the centre of gravity.
             outputs[key] = _lever_arm_outputs(p, data.outputs, np.array([-1.0, 0.0, 0.0]))
-        inputs[key] = _input(e, data, segment, p, term_variables, point)
+        inputs[key] = _coefficient_change(e, data, segment, p, term_variables, point)
         if before is not p and part != "actuator":
             (_, values), (_, other) = (
                 inputs[key],
-                _input(e, data, segment, before, variables_before, point),
+                _coefficient_change(e, data, segment, before, variables_before, point),
             )
             if not np.array_equal(values, other):
                 ends[key], seen_values[key] = other, through_jump(values, other, share)
@@ -633,7 +633,7 @@ def vane_shift_slopes(x: FloatArray, gusts: GustStates | None, turn: FloatArray)
     return out
 
 
-def _input(
+def _coefficient_change(
     e: Effect,
     data: FlightData,
     segment: Segment,
@@ -648,12 +648,16 @@ def _input(
     if (term := e.parsed) is not None:
         return COEFFICIENTS.index(e.coefficient), term.values(term_variables)
     part, _, part_name = (e.subsystem or "").partition(".")
-    scale, CT = p.scale, term_variables["CT"]
-    C = np.zeros(scale.shape)
+    if part == "propulsion":
+        return -1, _propulsion_change(e.term, data, p, term_variables)
+    if part == "actuator":
+        moved = _surface_motion(e, part_name, data, segment, p, point)
+        return -1, p.by_control[:, :, CONTROLS.index(part_name)] * moved[:, None]
+    C = np.zeros(p.scale.shape)
     if part == "stall":
         lag = p.flow_rate[:, 0] * p.mass.c / p.x[:, 0] if e.term == "dynamic" else 0.0
         # In a model with the effect the written slope counts: the model's slope contains the stall.
-        slope = data.slopes.get("CZ_alpha", p.reference.slopes[:, 2, 1] / scale[:, 2])
+        slope = data.slopes.get("CZ_alpha", p.reference.slopes[:, 2, 1] / p.scale[:, 2])
         C[:, 2] = (
             slope
             * term_variables["alpha"]
@@ -664,49 +668,58 @@ def _input(
         C[:, 2] = np.where(
             h_over_b < GROUND_SPANS, p.coefficients[:, 2] * np.exp(-2.0 * h_over_b), 0.0
         )
-    elif part == "propulsion":
-        thrust = np.hstack([p.other_force, p.other_moment]) / scale
-        if e.term == "thrust_scale":
-            C = thrust
-        elif e.term == "airspeed":
-            C = thrust * (term_variables["V_rel"] - 1.0)[:, None]
-        elif e.term == "inflow":
-            C[:, 0] = p.by_inflow if np.any(np.abs(p.by_inflow) > MIN_INFLOW) else 0.0
-        elif e.term == "torque":
-            C[:, 3] = CT
-        elif e.term == "p_factor":
-            C[:, 5], C[:, 4] = -CT * term_variables["alpha"], -CT * term_variables["beta"]
-        else:
-            for k, u in ((0, "de"), (2, "dr")):
-                control_slopes = (
-                    _slipstream_slopes(data.slopes, u) if data.slopes else p.by_control[:, :, k]
-                )
-                C += control_slopes * p.controls[:, [k]] * CT[:, None]
     elif e.term == "cg_x":
         C[:, 4], C[:, 5] = p.coefficients[:, 2] / p.mass.c, -p.coefficients[:, 1] / p.mass.b
     elif part == "mass":
         # Inertial moments depend on the body's rates, not on those relative to the air.
         (pr, q, r), (pd, _, rd) = p.body[:, 3:6].T, p.rate[:, 3:6].T
         # I w' + w x I w = M: the moment that a product of inertia I_xz of 1 takes, negative.
-        C[:, 3:] = np.column_stack([rd + pr * q, r * r - pr * pr, pd - q * r]) / scale[:, 3:]
-    elif part == "actuator":
-        k = CONTROLS.index(part_name)
-        if e.term == "deadband":
-            moved = dead_zone_change(
-                p.controls[:, k],
-                data.zones.get(part_name, _DEADBAND_DEG),
-                in_model=e.key in point.effects,
-            )
-        else:
-            servo, limits = _servo_at(data, part_name, point)
-            if e.term.endswith(LOCAL_SLOPE):
-                assert servo is not None
-                limits = servo.rate, NEARBY_SHARE * servo.rate
-            moved = surface_change(e.term.removesuffix(LOCAL_SLOPE), servo, segment, k, limits)
-        C = p.by_control[:, :, k] * moved[:, None]
+        C[:, 3:] = np.column_stack([rd + pr * q, r * r - pr * pr, pd - q * r]) / p.scale[:, 3:]
     else:
         raise ValueError(f"no model of effect {e.key}")
     return -1, C
+
+
+def _propulsion_change(
+    term: str, data: FlightData, p: Probe, term_variables: Mapping[str, FloatArray]
+) -> FloatArray:
+    """Return the change (n, 6) of CX to Cn per unit of an effect of the propulsion."""
+    thrust, CT = np.hstack([p.other_force, p.other_moment]) / p.scale, term_variables["CT"]
+    if term == "thrust_scale":
+        return thrust
+    if term == "airspeed":
+        return np.asarray(thrust * (term_variables["V_rel"] - 1.0)[:, None])
+    C = np.zeros(p.scale.shape)
+    if term == "inflow":
+        C[:, 0] = p.by_inflow if np.any(np.abs(p.by_inflow) > MIN_INFLOW) else 0.0
+    elif term == "torque":
+        C[:, 3] = CT
+    elif term == "p_factor":
+        C[:, 5], C[:, 4] = -CT * term_variables["alpha"], -CT * term_variables["beta"]
+    else:
+        for k, u in ((0, "de"), (2, "dr")):
+            control_slopes = (
+                _slipstream_slopes(data.slopes, u) if data.slopes else p.by_control[:, :, k]
+            )
+            C += control_slopes * p.controls[:, [k]] * CT[:, None]
+    return C
+
+
+def _surface_motion(
+    e: Effect, surface: str, data: FlightData, segment: Segment, p: Probe, point: ModelState
+) -> FloatArray:
+    """Return the change (n,) of a surface's position [deg] per unit of a servo's effect: lag, rate
+    limit or dead zone.
+    """
+    k = CONTROLS.index(surface)
+    if e.term == "deadband":
+        width_deg = data.zones.get(surface, _DEADBAND_DEG)
+        return dead_zone_change(p.controls[:, k], width_deg, in_model=e.key in point.effects)
+    servo, limits = _servo_at(data, surface, point)
+    if e.term.endswith(LOCAL_SLOPE):
+        assert servo is not None
+        limits = servo.rate, NEARBY_SHARE * servo.rate
+    return surface_change(e.term.removesuffix(LOCAL_SLOPE), servo, segment, k, limits)
 
 
 def _sensor_column(
