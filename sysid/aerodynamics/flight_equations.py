@@ -475,19 +475,23 @@ def _gust_slopes(x, gusts, rate, slopes, A, B, H, D):  # type: ignore[no-untyped
         for j in range(6):
             for i in range(8):
                 B[k, i, j] = rigid[i, 14 + j]
+            for i in range(5):
+                B[k, 8 + i, j] = 0.0
             for i in range(3):
                 D[k, 8 + i, j] = rigid[8 + i, 14 + j]
-            # The air states' rates are linear in those of the rigid body.
+        # The air states' rates are linear in those of V, alpha and beta.
+        for c in range(3):
             state_rates = (
-                complex(at[0], _IMAGINARY * B[k, 0, j]),
-                complex(at[1], _IMAGINARY * B[k, 1, j]),
-                complex(at[2], _IMAGINARY * B[k, 2, j]),
+                complex(at[0], _IMAGINARY * (c == 0)),
+                complex(at[1], _IMAGINARY * (c == 1)),
+                complex(at[2], _IMAGINARY * (c == 2)),
                 complex(at[6], 0.0),
                 complex(at[7], 0.0),
             )
             gust = gust_rates(gusts, state, state_rates, trig)
             for i in range(5):
-                B[k, 8 + i, j] = step * gust[i].imag
+                for j in range(6):
+                    B[k, 8 + i, j] += step * gust[i].imag * rigid[c, 14 + j]
 
 
 def _product(X, Y, Z):  # type: ignore[no-untyped-def]

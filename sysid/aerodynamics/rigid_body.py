@@ -16,6 +16,7 @@ between samples; A is the mean of a step's ends, Phi = exp(A h) and G its series
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -169,6 +170,13 @@ class RigidSlopes:
     slopes: FloatArray
     turn: FloatArray
 
+    @cached_property
+    def _end_turn(self) -> FloatArray:
+        """Heading (n - 1,) at ``end`` less the reference's mean [rad]."""
+        assert self.end is not None
+        mean_rate = 0.5 * (psi_rates(self.x[:-1]) + psi_rates(self.end))
+        return np.asarray(self.turn[:-1] + self.dt_s * mean_rate)
+
     def with_gusts(self, gusts: GustStates | None) -> Steps:
         """Return the linear system in air with such gusts; None for still air."""
         states = with_gust_states(self.x, gusts, self.turn)
@@ -187,17 +195,12 @@ class RigidSlopes:
         # Still air stays still over a step of the model.
         defect = np.zeros((n - 1, size))
         if self.end is not None:
-            mean_rate = 0.5 * (psi_rates(self.x[:-1]) + psi_rates(self.end))
-            end_turn = self.turn[:-1] + self.dt_s * mean_rate
-            defect = with_gust_states(self.end, gusts, end_turn) - states[1:]
+            defect = with_gust_states(self.end, gusts, self._end_turn) - states[1:]
         if gusts is not None and gusts.ahead_mps:
             defect += self._turned_by_mean_gust(states, gusts)
         # The air states in still air depend on the first eight: differentiate by complex steps.
-        start = np.empty((size, 8))
-        for j in range(8):
-            first = self.x[:1].astype(complex)
-            first[:, j] += 1e-20j
-            start[:, j] = with_gust_states(first, gusts, self.turn[:1])[0].imag / 1e-20
+        moved = self.x[0] + 1e-20j * np.eye(8)
+        start = np.ascontiguousarray(with_gust_states(moved, gusts, self.turn[0]).imag.T) / 1e-20
         return Steps(self.dt_s, phi, g0, g1, defect, H, D, self.y_ref.copy(), start)
 
     def _turned_by_mean_gust(self, states: FloatArray, gusts: GustStates) -> FloatArray:

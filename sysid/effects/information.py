@@ -30,7 +30,7 @@ from sysid.effects.prediction import (
     LazyColumns,
     WhitenedSegment,
     neg2_log_likelihood,
-    whiten_filtered,
+    whiten_changes,
 )
 from sysid.estimation import sandwich_covariance
 
@@ -412,11 +412,25 @@ def fit_colour(
     Parameters given the colour and the colour given the parameters alternate (Cochrane and Orcutt,
     JASA 44, 1949). With ``fixed`` the colour stays.
     """
+    changes = [f.with_columns(columns[k]).columns for k, f in enumerate(followed)]
+    return _fit_colour(followed, columns[0].names, changes, prior, colour, fixed=fixed)
+
+
+def _fit_colour(
+    followed: Sequence[FilteredSegment],
+    names: Sequence[str],
+    changes: Sequence[NDArray[np.float32]],
+    prior: Mapping[str, float],
+    colour: InnovationColour | None = None,
+    *,
+    fixed: bool = False,
+) -> tuple[InnovationColour | None, Information]:
+    """Return `fit_colour` from the innovations' ``changes`` (n, m, K) with the columns."""
 
     def information(colour: InnovationColour | None) -> Information:
         """Return the normal equations with a colour."""
-        white = whiten_filtered(followed, columns, colour)
-        return normal_equations(white, columns[0].names, [0] * len(white), prior)
+        white = whiten_changes(followed, changes, colour)
+        return normal_equations(white, names, [0] * len(white), prior)
 
     current = information(colour)
     if fixed:
@@ -473,9 +487,12 @@ def likeliest_colour(
     gains = np.nan_to_num(score_tests(plain, free, [*required_gains]).gain)
     strongest = [[*required_gains][k] for k in np.argsort(-gains)[:COLOUR_CANDIDATES]]
     base_cost = least_cost(colour, information)
-    for key in strongest:
-        with_effect = [columns.some(k, [*free, key]) for k in range(len(columns))]
-        trial = fit_colour(followed, with_effect, prior)
+    # One pass through the filter serves all colours.
+    some = [*free, *strongest]
+    passed = [f.with_columns(columns.some(k, some)).columns for k, f in enumerate(followed)]
+    for place, key in enumerate(strongest, len(free)):
+        with_effect = [np.take(change, [*range(len(free)), place], 2) for change in passed]
+        trial = _fit_colour(followed, [*free, key], with_effect, prior)
         cost = least_cost(*trial) + required_gains[key]
         if cost < base_cost:
             base_cost, colour = cost, trial[0]

@@ -249,7 +249,8 @@ def iterate_whitened(
     for k, one in enumerate(followed):
         start = _Start.of(one, colour)
         more = _WhitenedOnDemand(one, columns, k, colour, start.q)
-        yield replace(_whiten_segment(one, columns[k], colour, start), more=more)
+        changes = one.with_columns(columns[k]).columns
+        yield replace(_whiten_segment(one, changes, colour, start), more=more)
 
 
 class _WhitenedOnDemand:
@@ -287,8 +288,23 @@ def whiten_filtered(
 ) -> list[WhitenedSegment]:
     """Whiten filtered segments whose innovations have a ``colour``; otherwise as `whiten`."""
     return [
-        _whiten_segment(one, columns[k], colour, _Start.of(one, colour))
+        _whiten_segment(one, one.with_columns(columns[k]).columns, colour, _Start.of(one, colour))
         for k, one in enumerate(followed)
+    ]
+
+
+def whiten_changes(
+    followed: Iterable[FilteredSegment],
+    changes: Iterable[NDArray[np.float32]],
+    colour: InnovationColour | None,
+) -> list[WhitenedSegment]:
+    """Whiten filtered segments from their innovations' changes (n, m, K) with the columns.
+
+    The changes do not depend on the colour and serve every one.
+    """
+    return [
+        _whiten_segment(one, change, colour, _Start.of(one, colour))
+        for one, change in zip(followed, changes, strict=True)
     ]
 
 
@@ -331,16 +347,20 @@ def _solved(r: FloatArray, right: FloatArray) -> FloatArray:
 
 
 def _whiten_segment(
-    one: FilteredSegment, segment_columns: Columns, colour: InnovationColour | None, start: _Start
+    one: FilteredSegment,
+    changes: NDArray[np.float32],
+    colour: InnovationColour | None,
+    start: _Start,
 ) -> WhitenedSegment:
-    """Return a segment with its start state projected out."""
+    """Return a segment with its start state projected out; ``changes`` (n, m, K) are those of its
+    innovations with the columns.
+    """
     is_measured = one.system.is_measured
     deviation = np.sqrt(
         np.where(is_measured, one.gains.prior_variance, 0.0).sum(axis=0)
         / np.maximum(is_measured.sum(axis=0), 1)
     )
-    changes = _without_colour(colour, one.with_columns(segment_columns).columns)
-    remainder, inside = _project_start(changes, start.q)
+    remainder, inside = _project_start(_without_colour(colour, changes), start.q)
     fitted = np.column_stack([start.state, -_solved(start.r, inside)[:START_COLUMNS]])
     return WhitenedSegment(
         start.residual,
