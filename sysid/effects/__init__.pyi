@@ -51,5 +51,5 @@ from .tuned import SIGNIFICANT_Z as SIGNIFICANT_Z
 from .tuned import TURBULENCE_CRITICAL_T as TURBULENCE_CRITICAL_T
 from .turbulence import CACHED_AIRS as CACHED_AIRS
 from .turbulence import TurbulenceModel as TurbulenceModel
-from .turbulence import estimate_turbulence as estimate_turbulence
+from .turbulence import TurbulenceSearch as TurbulenceSearch
 from .turbulence import gust_strength_mps2 as gust_strength_mps2

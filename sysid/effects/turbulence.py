@@ -20,7 +20,8 @@ Each part of this model prevents a bias that was measured:
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import KW_ONLY, dataclass, field, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -203,7 +204,7 @@ errors and play resemble them.
 """
 _FACTORS = (1e-4, 1e-2, 0.1, 1.0, 5.0)
 """Factors on LIGHT_AIR; the search starts from the likeliest."""
-_MAX_SEGMENTS, _SEGMENTS_PER_FLIGHT, _SEGMENTS_FOR_SPEED = 10, 6, 4
+_MAX_SEGMENTS, _SEGMENTS_PER_FLIGHT, _SEGMENTS_FOR_SPEED, _SEGMENTS_FOR_AZIMUTH = 10, 6, 4, 2
 _SPEED_LOG_STEP, _MAX_SPEED_STEPS, _SPEED_LOG_PRIOR_STD = 0.04, 3.0, 0.02
 """Step of the logarithm of the passing speed, the most such steps, and the prior standard deviation
 of the logarithm about a flight's mean airspeed.
@@ -218,9 +219,9 @@ _STRUCTURES = tuple(
 """Structures: whether gusts rotate the air, whether they turn with the aircraft, and whether their
 axes are the body's or the heading's.
 """
-_AZIMUTHS, _FINEST_AZIMUTH = 8, 0.02
-"""Number of trial azimuths of axes that are fixed to the earth, and the step [rad] that ends their
-refinement.
+_AZIMUTHS, _AZIMUTH_STEPS = 5, (0.2, 0.05)
+"""Number of trial azimuths of axes that are fixed to the earth, and steps [rad] of the parabolas
+about the likeliest one.
 """
 _STANDARD_ROTATION = {f"{axis}_length": 1.0 for axis in "pqr"} | {"r_share": 1.0}
 """Rotation with which these axes are tried."""
@@ -438,25 +439,13 @@ def process_of(values: FloatArray, V: float, states: GustStates) -> tuple[FloatA
     return noise, begin
 
 
-def estimate_turbulence(
-    linear: Linear,
-    measured: Sequence[FloatArray],
-    rows: Sequence[int],
-    noise: FloatArray,
-    V: Sequence[float],
-    flights: Sequence[str],
-    *,
-    states: GustStates,
-    initial: TurbulenceModel | None = None,
-    pool: Processes = SERIAL,
-    kinds: Sequence[str] = (),
-    psi_rad: Sequence[float] | None = None,
-) -> tuple[TurbulenceModel, FloatArray]:
-    """Estimate the air of segments.
+@dataclass(frozen=True)
+class TurbulenceSearch:
+    """Search for the air of segments.
 
     The air is estimated on at most ten segments, then that of each flight on at most six.
 
-    Parameters
+    Attributes
     ----------
     linear : callable
         Returns the linear systems of some segments in given airs.
@@ -481,66 +470,103 @@ def estimate_turbulence(
         determine the noise, and a filter with twice the true noise lags, like a servo.
     psi_rad : sequence of float, optional
         Mean heading of each segment.
-
-    Returns
-    -------
-    model : TurbulenceModel
-    factors : (m,) array
-        Changes of the sensors' noise.
     """
-    psi_rad = [0.0] * len(measured) if psi_rad is None else psi_rad
-    is_first = initial is None
-    prior_factors = np.ones(len(noise)) if initial is None else initial.factors
-    search = _Search(linear, measured, rows, noise / prior_factors, V, pool)
-    segments = _evenly_spaced(range(len(measured)), _MAX_SEGMENTS)
-    segments_of_flight = _segments_of(flights)
-    # 1. Start: light air of several strengths, or the air before.
-    if initial is None:
-        each = tuple(states._replace(psi_rad=psi) for psi in psi_rad)
-        starts = [_Point(each, f * LIGHT_AIR, prior_factors) for f in _FACTORS]
-    else:
-        starts = _points_of(
-            initial.in_segments(V, flights, psi_rad), flights, has_noise=bool(kinds)
-        )
-    start = search.best(segments, starts)
-    # 2. Intensities, and the sensors' noise.
-    optimum = search.descend(segments, start, kinds)
-    # 3. Structure, passing speed and intensities of each flight, if the start was far.
-    is_far = is_first or start.cost - optimum.cost > SIGNIFICANT_Z**2
-    chosen = (
-        search.choose_air(
-            segments,
-            segments_of_flight,
+
+    linear: Linear
+    measured: Sequence[FloatArray]
+    rows: Sequence[int]
+    noise: FloatArray
+    V: Sequence[float]
+    flights: Sequence[str]
+    _: KW_ONLY
+    states: GustStates
+    initial: TurbulenceModel | None = None
+    pool: Processes = SERIAL
+    kinds: Sequence[str] = ()
+    psi_rad: Sequence[float] | None = None
+
+    @cached_property
+    def _prior_factors(self) -> FloatArray:
+        return np.ones(len(self.noise)) if self.initial is None else self.initial.factors
+
+    @cached_property
+    def _search(self) -> _Search:
+        noise = self.noise / self._prior_factors
+        return _Search(self.linear, self.measured, self.rows, noise, self.V, self.pool)
+
+    @cached_property
+    def _segments(self) -> list[int]:
+        """Segments on which the air is estimated."""
+        return _evenly_spaced(range(len(self.measured)), _MAX_SEGMENTS)
+
+    @cached_property
+    def _descended(self) -> tuple[float, _Point]:
+        """The cost at the start, and the point of the likeliest intensities and noise."""
+        psi_rad = [0.0] * len(self.measured) if self.psi_rad is None else self.psi_rad
+        # 1. Start: light air of several strengths, or the air before.
+        if self.initial is None:
+            each = tuple(self.states._replace(psi_rad=psi) for psi in psi_rad)
+            starts = [_Point(each, f * LIGHT_AIR, self._prior_factors) for f in _FACTORS]
+        else:
+            present = self.initial.in_segments(self.V, self.flights, psi_rad)
+            starts = _points_of(present, self.flights, has_noise=bool(self.kinds))
+        start = self._search.best(self._segments, starts)
+        # 2. Intensities, and the sensors' noise.
+        return start.cost, self._search.descend(self._segments, start, self.kinds)
+
+    @cached_property
+    def _chosen(self) -> _Point:
+        """The likeliest point."""
+        start_cost, optimum = self._descended
+        # 3. Structure, passing speed and intensities of each flight, if the start was far.
+        is_first = self.initial is None
+        if not is_first and start_cost - optimum.cost <= SIGNIFICANT_Z**2:
+            return optimum
+        chosen = self._search.choose_air(
+            self._segments,
+            _segments_of(self.flights),
             optimum,
-            flights,
-            kinds,
+            self.flights,
+            self.kinds,
             is_first=is_first,
         )
-        if is_far
-        else optimum
-    )
-    # 4. What is lost without parts of this air, with intensities by flight.
-    best = search.best(segments, [chosen])
-    gain, across = (
-        (search.loss(segments, best, factors) for factors in (0.0, _WITHOUT_ACROSS))
-        if initial is None
-        else (initial.gain, initial.across)
-    )
-    single_moments = np.where(np.eye(len(LIGHT_AIR)), _NEGLIGIBLE, 1.0)[_MOMENTS]
-    losses = np.array([search.loss(segments, best, factors) for factors in single_moments])
-    return TurbulenceModel(
-        best.states,
-        best.values,
-        {f: best.of(members[0]) for f, members in segments_of_flight.items()},
-        {f: best.states[members[0]].passing_mps for f, members in segments_of_flight.items()},
-        search.process(range(len(measured)), best),
-        gain,
-        across,
-        np.where(np.isfinite(losses), losses, np.nan),
-        best.factors,
-        None if initial is None else initial.colour,
-        {f: best.states[members[0]].azimuth_rad for f, members in segments_of_flight.items()},
-    ), best.factors / prior_factors
+        return self._search.best(self._segments, [chosen])
+
+    @property
+    def cost(self) -> float:
+        """Minus twice the log likelihood of some segments before the structure is chosen."""
+        return self._descended[1].cost
+
+    @property
+    def gain(self) -> float:
+        """Decrease of ``cost`` by the structure."""
+        return self.cost - self._chosen.cost
+
+    def run(self) -> tuple[TurbulenceModel, FloatArray]:
+        """Return the air, and the changes (m,) of the sensors' noise."""
+        search, segments, initial, best = self._search, self._segments, self.initial, self._chosen
+        segments_of_flight = _segments_of(self.flights)
+        # 4. What is lost without parts of this air, with intensities by flight.
+        gain, across = (
+            (search.loss(segments, best, factors) for factors in (0.0, _WITHOUT_ACROSS))
+            if initial is None
+            else (initial.gain, initial.across)
+        )
+        single_moments = np.where(np.eye(len(LIGHT_AIR)), _NEGLIGIBLE, 1.0)[_MOMENTS]
+        losses = np.array([search.loss(segments, best, factors) for factors in single_moments])
+        return TurbulenceModel(
+            best.states,
+            best.values,
+            {f: best.of(members[0]) for f, members in segments_of_flight.items()},
+            {f: best.states[members[0]].passing_mps for f, members in segments_of_flight.items()},
+            search.process(range(len(self.measured)), best),
+            gain,
+            across,
+            np.where(np.isfinite(losses), losses, np.nan),
+            best.factors,
+            None if initial is None else initial.colour,
+            {f: best.states[members[0]].azimuth_rad for f, members in segments_of_flight.items()},
+        ), best.factors / self._prior_factors
 
 
 def _points_of(model: TurbulenceModel, flights: Sequence[str], *, has_noise: bool) -> list[_Point]:
@@ -815,32 +841,56 @@ class _Search:
         is_new = not best.states[0].in_earth
         standard = _without_absorbers(best.with_states(**frame, **_STANDARD_ROTATION))
         trials = [standard.with_states(q_share=q) for q in (1.0, -1.0)] if is_new else [best]
-        step = 2.0 * np.pi / _AZIMUTHS
-        # 1. A full circle for each sign of pitch.
-        circle = [step * k for k in range(_AZIMUTHS)]
-        turned = [self.with_azimuths(flights, trial, circle) for trial in trials]
+        turned = [self.with_azimuths(flights, trial) for trial in trials]
         chosen = self.best(segments, turned)
         if is_new:
-            # Within half a step of the true azimuth most of the gain is there already.
+            # Near the likeliest azimuth most of the gain is there already.
             present = self.score(segments, _without_absorbers(best), slopes=False).cost
             if chosen.cost >= present:
                 return best
-        # 2. Finer steps about the likeliest azimuth of each flight.
-        while step > _FINEST_AZIMUTH:
-            step *= 0.5
-            chosen = self.with_azimuths(flights, chosen, (0.0, -step, step))
-        return self.likeliest_structure(segments, best, [chosen])
+        for step in _AZIMUTH_STEPS:
+            chosen = self.with_finer_azimuths(flights, chosen, step)
+        return self.likeliest_structure(segments, best, [replace(chosen, cost=np.inf)])
 
-    def with_azimuths(
-        self, flights: Mapping[str, Sequence[int]], point: _Point, offsets: Sequence[float]
-    ) -> _Point:
-        """Return the point with the likeliest of azimuths about the present one in each flight."""
+    def with_azimuths(self, flights: Mapping[str, Sequence[int]], point: _Point) -> _Point:
+        """Return the point with the likeliest azimuth in each flight.
+
+        The azimuth turns vectors, so that the cost is nearly a trigonometric polynomial of second
+        order. Its minimum and the likeliest of the trials that determine it are compared.
+        """
         for members in flights.values():
-            few = _evenly_spaced(members, _SEGMENTS_FOR_SPEED)
+            some = _evenly_spaced(members, _SEGMENTS_FOR_AZIMUTH)
+            trials = 2.0 * np.pi / _AZIMUTHS * np.arange(_AZIMUTHS)
+            costs = np.array([self.azimuth_cost(some, point, members, a) for a in trials])
+            likeliest = float(trials[np.argmin(costs)])
+            if np.isfinite(costs).all():
+                fine = np.fft.irfft(np.fft.rfft(costs), 360)
+                angle = float(np.radians(np.argmin(fine)))
+                if self.azimuth_cost(some, point, members, angle) < costs.min():
+                    likeliest = angle
+            point = point.with_azimuth(members, likeliest)
+        return point
+
+    def with_finer_azimuths(
+        self, flights: Mapping[str, Sequence[int]], point: _Point, step: float
+    ) -> _Point:
+        """Return the point with the azimuths at the minimum of a parabola through three each."""
+        for members in flights.values():
+            some = _evenly_spaced(members, _SEGMENTS_FOR_SPEED)
             middle = point.states[members[0]].azimuth_rad
-            azimuths = [(middle + offset) % (2.0 * np.pi) for offset in offsets]
-            point = self.best(few, [point.with_azimuth(members, a) for a in azimuths])
-        return replace(point, cost=np.inf)
+            before, here, after = (
+                self.azimuth_cost(some, point, members, middle + k * step) for k in (-1, 0, 1)
+            )
+            shift = parabola_minimum(before, here, after)
+            azimuth = (middle + step * shift) % (2.0 * np.pi)
+            point = point.with_azimuth(members, azimuth)
+        return point
+
+    def azimuth_cost(
+        self, some: Sequence[int], point: _Point, members: Sequence[int], azimuth_rad: float
+    ) -> float:
+        """Return the cost of ``some`` segments of a flight, with axes at an azimuth in it."""
+        return self.score(some, point.with_azimuth(members, azimuth_rad), slopes=False).cost
 
     def length(self, segments: Sequence[int], best: _Point, axis: str) -> _Point:
         """Return the point with the likeliest length of the air's roll (axis p), or the likeliest
@@ -899,9 +949,7 @@ class _Search:
                 self.score(segments, _without_absorbers(at(r, lengths)), slopes=False).cost
                 for r in speeds
             )
-            bend = slower - 2.0 * middle + faster_cost
-            shift = 0.5 * (slower - faster_cost) / bend if bend > 0.0 else 0.0
-            ratio *= float(np.exp(step * np.clip(np.nan_to_num(shift), -1.5, 1.5)))
+            ratio *= float(np.exp(step * parabola_minimum(slower, middle, faster_cost)))
         return at(ratio, lengths)
 
     def loss(self, segments: Sequence[int], point: _Point, factors: FloatArray | float) -> float:
@@ -1045,6 +1093,15 @@ class _Objective:
         limit = _MAX_INDEPENDENT * np.maximum(values[1:3], roll) / values[_INDEPENDENT_ROTATION]
         upper[_INDEPENDENT_ROTATION] = np.clip(np.log(limit), 1.0 - _SEARCH_RANGE, _SEARCH_RANGE)
         return Bounds(-_SEARCH_RANGE * self.scale, upper * self.scale)
+
+
+def parabola_minimum(before: float, here: float, after: float) -> float:
+    """Return the minimum of a parabola through costs at -1, 0 and 1, at most 1.5 away; 0 where
+    there is none.
+    """
+    bend = before - 2.0 * here + after
+    shift = 0.5 * (before - after) / bend if bend > 0.0 else 0.0
+    return float(np.clip(np.nan_to_num(shift), -1.5, 1.5))
 
 
 def _without_absorbers(point: _Point) -> _Point:

@@ -18,7 +18,7 @@ from sysid.effects.turbulence import (
     V_REFERENCE,
     Score,
     TurbulenceModel,
-    estimate_turbulence,
+    TurbulenceSearch,
     gust_strength_mps2,
     process_of,
 )
@@ -101,7 +101,7 @@ def found_in(
     close: TurbulenceModel | None = None,
     headings: Sequence[float] = (0.0,) * 4,
 ) -> TurbulenceModel:
-    return estimate_turbulence(
+    return TurbulenceSearch(
         result,
         data,
         range(len(NOISE)),
@@ -111,7 +111,7 @@ def found_in(
         states=GustStates(MASS.b),
         initial=close,
         psi_rad=headings,
-    )[0]
+    ).run()[0]
 
 
 @pytest.mark.parametrize(
@@ -238,7 +238,7 @@ def test_noise_that_is_half_of_what_is_stated_is_found_beside_the_gusts():
     stated = np.where(rate, 2.0, 1.0) * NOISE
 
     def searched(kinds, noise, close=None):
-        return estimate_turbulence(
+        return TurbulenceSearch(
             output,
             data,
             range(len(NOISE)),
@@ -248,7 +248,7 @@ def test_noise_that_is_half_of_what_is_stated_is_found_beside_the_gusts():
             states=GustStates(MASS.b),
             initial=close,
             kinds=kinds,
-        )
+        ).run()
 
     gusts, result = searched(kinds, stated)
     np.testing.assert_allclose(result[rate], 0.5, rtol=0.1)
@@ -352,7 +352,7 @@ def test_the_air_of_a_flight_alone_is_the_likeliest_from_wherever_it_is_sought()
     output, data = draw(GustStates(MASS.b, 23.5), INTENSITIES, n=260)
 
     def result(close: turbulence.TurbulenceModel | None) -> turbulence.TurbulenceModel:
-        air, _ = turbulence.estimate_turbulence(
+        air, _ = turbulence.TurbulenceSearch(
             output,
             data,
             range(len(NOISE)),
@@ -361,7 +361,7 @@ def test_the_air_of_a_flight_alone_is_the_likeliest_from_wherever_it_is_sought()
             ["a"] * 4,
             states=GustStates(MASS.b),
             initial=close,
-        )
+        ).run()
         return air
 
     first = result(None)

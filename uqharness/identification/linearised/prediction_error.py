@@ -23,7 +23,7 @@ from sysid.effects import (
     Columns,
     FilteredSegment,
     TurbulenceModel,
-    estimate_turbulence,
+    TurbulenceSearch,
     filter_segments,
     fit_colour,
     neg2_log_likelihood,
@@ -398,7 +398,7 @@ def _evaluate(
     # 2. Air and sensor noise.
     turbulence, data = at.turbulence, at.data
     if estimates_air:
-        turbulence, factors = _estimate_turbulence(at.data, systems, at.turbulence, tune)
+        turbulence, factors = _turbulence_search(at.data, systems, at.turbulence, tune).run()
         data = replace(at.data, noise=factors * at.data.noise)
     assert turbulence is not None
     # 3. Innovations.
@@ -550,12 +550,22 @@ def likeliest_start(
     numpy.linalg.LinAlgError
         If no filter follows the flights from any start.
     """
-    trials: list[tuple[float, _Iterate]] = []
+    searches: list[tuple[TurbulenceSearch, _Iterate, _LinearSystems]] = []
     for point in starts:
         predicted = predict(models, data, point, pool)
         systems = _LinearSystems(data, *predicted, pool)
+        search = _turbulence_search(data, systems, None, tune)
+        if np.isfinite(search.cost):
+            searches.append((search, _Iterate(data, point, None, predicted=predicted), systems))
+    searches.sort(key=lambda trial: trial[0].cost)
+    best, lowest, gain = None, np.inf, np.inf
+    for search, at, systems in searches:
+        # From a start this much less likely, the structure of the air would have to gain more
+        # than twice what it gained from the likeliest.
+        if search.cost - searches[0][0].cost > gain:
+            break
         try:
-            turbulence, factors = _estimate_turbulence(data, systems, None, tune)
+            turbulence, factors = search.run()
             tuned = replace(data, noise=factors * data.noise)
             followed = filter_segments(
                 systems.all(turbulence.states),
@@ -569,11 +579,12 @@ def likeliest_start(
         cost = neg2_log_likelihood(
             whiten_filtered(followed, [Columns((), {}, {})] * len(data.segments))
         )
-        if np.isfinite(cost):
-            trials.append((cost, _Iterate(tuned, point, turbulence, predicted=predicted)))
-    if not trials:
+        gain = min(gain, search.gain)
+        if cost < lowest:
+            best, lowest = replace(at, data=tuned, turbulence=turbulence), cost
+    if best is None:
         raise np.linalg.LinAlgError("predictions from every start are no numbers")
-    return min(trials, key=lambda trial: trial[0])[1]
+    return best
 
 
 def _starts(
@@ -743,25 +754,21 @@ def mean_heading(channels: Mapping[str, FloatArray]) -> float:
     return float(np.unwrap(channels["psi_rad"]).mean())
 
 
-def _estimate_turbulence(
+def _turbulence_search(
     data: FlightData, systems: _LinearSystems, initial: TurbulenceModel | None, tune: bool
-) -> tuple[TurbulenceModel, FloatArray]:
-    """Return the likeliest air, and factors (m,) on the sensors' noise (1 unless ``tune``)."""
-    speeds = [float(x[:, 0].mean()) for x in systems.trajectory.x]
-    of = [s.flight for s in data.segments]
-    states = GustStates(systems.probes[0].mass.b)
-    kinds = [_KINDS.get(c.split("_")[0], c) for c in data.outputs] if tune else ()
-    return estimate_turbulence(
+) -> TurbulenceSearch:
+    """Return the search for the air, and with ``tune`` for factors on the sensors' noise."""
+    return TurbulenceSearch(
         systems,
         systems.measured,
         data.output_rows,
         data.noise,
-        speeds,
-        of,
-        states=states,
+        [float(x[:, 0].mean()) for x in systems.trajectory.x],
+        [s.flight for s in data.segments],
+        states=GustStates(systems.probes[0].mass.b),
         initial=initial,
         pool=systems.pool,
-        kinds=kinds,
+        kinds=[_KINDS.get(c.split("_")[0], c) for c in data.outputs] if tune else (),
         psi_rad=[mean_heading(c) for c in data.channels],
     )
 
