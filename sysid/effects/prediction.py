@@ -328,14 +328,16 @@ class _Start:
 
     @staticmethod
     def of(one: FilteredSegment, colour: InnovationColour | None) -> _Start:
-        plain = one.innovations_only
+        plain, air = one.innovations_only, one.air
         innovations = _without_colour(colour, plain.innovations)
-        residual, q, r = fit_start(innovations, _without_colour(colour, plain.starts))
-        state, square = _solved(r, q.T @ innovations.ravel()), float(np.sum(residual**2))
-        if one.air is not None:
-            starts = np.concatenate([plain.starts, one.air], axis=2)
-            residual, q, r = fit_start(innovations, _without_colour(colour, starts))
-        return _Start(innovations, residual, state, square - float(np.sum(residual**2)), q, r)
+        starts = plain.starts if air is None else np.concatenate([plain.starts, air], axis=2)
+        residual, q, r = fit_start(innovations, _without_colour(colour, starts))
+        # The first columns of q and r are those of the start alone.
+        inside, alone = q.T @ innovations.ravel(), slice(START_COLUMNS)
+        state = _solved(r[alone, alone], inside[alone])
+        return _Start(
+            innovations, residual, state, float(np.sum(inside[START_COLUMNS:] ** 2)), q, r
+        )
 
 
 def _solved(r: FloatArray, right: FloatArray) -> FloatArray:
