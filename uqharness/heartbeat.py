@@ -1,6 +1,6 @@
 """Sign of life of a command or function that shows nothing else while it works.
 
-After 5 s, `heartbeat` prints what is at work and for how long: on a terminal in a line that is
+After 4 s, `heartbeat` prints what is at work and for how long: on a terminal in a line that is
 updated, in a pipe every 30 s, in a notebook in one line that is replaced. Progress bars
 (`uqharness.cli.progress`) suppress it. UQHARNESS_QUIET=1 turns it off.
 """
@@ -20,8 +20,8 @@ from typing import Any, TextIO
 
 from sysid.display import cursor_stream, visible
 
-FIRST_S = 5.0
-"""Time [s] before the first line."""
+FIRST_S = 4.0
+"""Time [s] before the first line; a command takes up to a second to start."""
 EVERY_S = 30.0
 """Time [s] between two lines in a pipe."""
 QUIET_VARIABLE = "UQHARNESS_QUIET"
