@@ -200,15 +200,15 @@ def measure(paths: list[Path]) -> Finding:
     start = time.perf_counter()
     aircraft = find_aircraft("espaaro")
     flights, measured = read_flights(paths, aircraft, align=False)
-    setup = make_flight_data(aircraft, flights, measured)
+    data = make_flight_data(aircraft, flights, measured)
     names = tuple(aircraft.card.parameters)
     limits = {n: c.bounds or (-np.inf, np.inf) for n, c in aircraft.card.parameters.items()}
-    with stage_models(aircraft, setup) as models:
+    with stage_models(aircraft, data) as models:
         fdm = models.model.open(aircraft.dt_s)
         truth = {n: float(fdm[n]) for n in names if n.startswith("aero/")}
-        setup = with_jumping_flights(setup, models.model)
-        replayed = fit_without_effects(aircraft, models, setup, names, limits, SERIAL)
-        air = fit_in_turbulence(aircraft, models, setup, replayed, limits, SERIAL)
+        data = with_jumping_flights(data, models.model)
+        replayed = fit_without_effects(aircraft, models, data, names, limits, SERIAL)
+        air = fit_in_turbulence(aircraft, models, data, replayed, limits, SERIAL)
     effects = candidate_effects(air.data, names, ())
     columns = effect_columns(air.data, air.fit.probes, air.fit.trajectory, effects)
     estimator = PredictionErrorEstimator(air.turbulence)

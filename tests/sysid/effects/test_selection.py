@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from sysid.effects.information import Information, normal_equations, score_tests
-from sysid.effects.prediction import WhitenedSegment
 from sysid.effects.selection import critical_t_of, estimate_selected, select, sidak_critical_t
+from tests.helpers.whitened import whitened
 
 SEGMENTS, N, M = 6, 40, 3
 CONFIRMING = np.arange(SEGMENTS) % 3 == 1
@@ -19,14 +19,7 @@ def evidence(columns: dict[str, np.ndarray], residual: np.ndarray) -> Informatio
     """columns: name -> (S, n, m); residual (S, n, m) in units of the noise."""
     names = tuple(columns)
     white = [
-        WhitenedSegment(
-            residual[s],
-            np.stack([columns[c][s] for c in names], axis=2).astype(np.float32),
-            0.0,
-            np.zeros((8, 1 + len(names))),
-            np.ones((N, M), dtype=bool),
-            np.ones(M),
-        )
+        whitened(residual[s], np.stack([columns[c][s] for c in names], axis=2))
         for s in range(SEGMENTS)
     ]
     return normal_equations(white, names, CONFIRMING, {})

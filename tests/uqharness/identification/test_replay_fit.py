@@ -47,10 +47,10 @@ def flight():
 
 
 def refined(aircraft, flight):
-    setup = make_flight_data(aircraft, [flight], ())
+    data = make_flight_data(aircraft, [flight], ())
     limits = {n: aircraft.card.parameters[n].bounds for n in NAMES}
-    with stage_models(aircraft, setup) as models:
-        result = fit_without_effects(aircraft, models, setup, NAMES, limits, SERIAL)
+    with stage_models(aircraft, data) as models:
+        result = fit_without_effects(aircraft, models, data, NAMES, limits, SERIAL)
         fit, retained, excited = result.fit, result.names, result.excited
     assert retained == excited == NAMES
     return fit.trajectory.point
@@ -77,17 +77,17 @@ def test_identify_and_refine_estimate_the_same(aircraft, flight):
 
 def test_compare_and_refine_show_the_same_gap(aircraft, flight):
     gap = compare(aircraft, flight, (), workers=1)
-    setup = make_flight_data(aircraft, [flight], ())
-    visible = evaluate(aircraft, Dataset(setup), SERIAL, ModelState({}, {}, ()))
-    ours = {c: visible.channel_rms(k) / visible.noise[k] for k, c in enumerate(setup.outputs)}
-    assert ours == pytest.approx({c: gap.channels[c].ratio for c in setup.outputs}, rel=1e-3)
+    data = make_flight_data(aircraft, [flight], ())
+    visible = evaluate(aircraft, Dataset(data), SERIAL, ModelState({}, {}, ()))
+    ours = {c: visible.channel_rms(k) / visible.noise[k] for k, c in enumerate(data.outputs)}
+    assert ours == pytest.approx({c: gap.channels[c].ratio for c in data.outputs}, rel=1e-3)
     # A sensor's scale, known, is taken out before the fit and put back: the same flight with a vane
     # that reads 1.1 times.
     scaled = prepare(
         "f", flight.record.with_columns({"alpha_rad": 1.1 * flight.record["alpha_rad"]}), ()
     )
-    setup = make_flight_data(aircraft, [scaled], ())
-    side, scale = Dataset(setup), {"effect/sensor.alpha_rad/scale": 0.1}
+    data = make_flight_data(aircraft, [scaled], ())
+    side, scale = Dataset(data), {"effect/sensor.alpha_rad/scale": 0.1}
     blind, reports = (
         evaluate(aircraft, side, SERIAL, ModelState({}, {}, (), s)).cost for s in ({}, scale)
     )
@@ -95,8 +95,8 @@ def test_compare_and_refine_show_the_same_gap(aircraft, flight):
 
 
 def test_what_the_flights_do_not_determine_stays(aircraft, flight):
-    setup = make_flight_data(aircraft, [flight], ())
-    observed = Observed(setup.segments, setup.outputs, setup.measured, setup.biased, {})
+    data = make_flight_data(aircraft, [flight], ())
+    observed = Observed(data.segments, data.outputs, data.measured, data.biased, {})
     names, values = ("aero/Cm_q", "aero/CX_alpha2"), np.array([-13.8, 1.86])
     with ReplayFolder(aircraft) as model:
         fit = fit_replays(
@@ -125,8 +125,8 @@ def test_what_the_flights_do_not_determine_stays(aircraft, flight):
 def test_beside_what_goes_back_the_estimate_begins_where_replays_are_nearest(
     aircraft, flight, monkeypatch, distant
 ):
-    setup = make_flight_data(aircraft, [flight], ())
-    observed = Observed(setup.segments, setup.outputs, setup.measured, setup.biased, {})
+    data = make_flight_data(aircraft, [flight], ())
+    observed = Observed(data.segments, data.outputs, data.measured, data.biased, {})
     names, close, card = (
         ("aero/Cm_q", "aero/CX_alpha2"),
         np.array([-13.0, 1.84]),
@@ -155,10 +155,10 @@ def test_beside_what_goes_back_the_estimate_begins_where_replays_are_nearest(
 
 
 def test_what_replays_have_at_a_bound_is_free_beside_effects_and_told(aircraft, flight):
-    setup, names = make_flight_data(aircraft, [flight], ()), ("aero/Cm_q", "aero/CX_alpha2")
+    data, names = make_flight_data(aircraft, [flight], ()), ("aero/Cm_q", "aero/CX_alpha2")
     limits = {"aero/Cm_q": (-60.0, 0.0), "aero/CX_alpha2": (1.86, 1.9)}
-    with stage_models(aircraft, setup) as models:
-        result = fit_without_effects(aircraft, models, setup, names, limits, SERIAL)
+    with stage_models(aircraft, data) as models:
+        result = fit_without_effects(aircraft, models, data, names, limits, SERIAL)
     fit, notes = result.fit, result.notes
     assert result.names == result.excited == names
     assert fit.trajectory.point.values["aero/CX_alpha2"] == 1.86
@@ -183,15 +183,15 @@ def jumping(monkeypatch):
 def test_what_accelerometers_have_not_seen_of_a_jump_is_estimated(aircraft, jumping):
     names = ("aero/CZ_de", "aero/Cm_de", "aero/CY_dr", "aero/Cl_da")
     true = [Airframe().coefficients[n.removeprefix("aero/")] for n in names]
-    setup = make_flight_data(aircraft, [jumping], (), CONTROLS)
+    data = make_flight_data(aircraft, [jumping], (), CONTROLS)
     bounds = [aircraft.card.parameters[n].bounds for n in names]
     with ReplayFolder(aircraft, ideal=CONTROLS) as model:
         fit = fit_replays(
-            model, observations_of(setup), names, (np.array(true),), bounds, batched_pool(map)
+            model, observations_of(data), names, (np.array(true),), bounds, batched_pool(map)
         )
         blind = fit_replays(
             replace(model, lagging=("throttle_pct",)),
-            observations_of(setup),
+            observations_of(data),
             names,
             (np.array(true),),
             bounds,
@@ -200,7 +200,7 @@ def test_what_accelerometers_have_not_seen_of_a_jump_is_estimated(aircraft, jump
         with pytest.MonkeyPatch.context() as patch:
             patch.setattr(replay_fit, "jumping_flights", lambda *_: [])
             reduced = fit_replays(
-                model, observations_of(setup), names, (np.array(true),), bounds, batched_pool(map)
+                model, observations_of(data), names, (np.array(true),), bounds, batched_pool(map)
             )
     share, std = (
         fit.values()["unseen/f"],
@@ -221,10 +221,10 @@ def test_what_accelerometers_have_not_seen_of_a_jump_is_estimated(aircraft, jump
 
 
 def test_a_lag_in_every_servo_leaves_nothing_to_see(aircraft, flight):
-    setup = make_flight_data(aircraft, [flight], ())
+    data = make_flight_data(aircraft, [flight], ())
     with ReplayFolder(aircraft) as model:
         assert model.jumping == ()
-        assert jumping_flights(model, setup.segments, {}) == []
+        assert jumping_flights(model, data.segments, {}) == []
     with ReplayFolder(aircraft, ideal=("elevator",)) as model:
-        assert jumping_flights(model, setup.segments, {"f": [CONTROL_DELAY]}) == ["f"]
-        assert jumping_flights(model, setup.segments, {"f": ["rates"]}) == []
+        assert jumping_flights(model, data.segments, {"f": [CONTROL_DELAY]}) == ["f"]
+        assert jumping_flights(model, data.segments, {"f": ["rates"]}) == []

@@ -12,10 +12,11 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from sysid.effects import Effect, WhitenedSegment, normal_equations
+from sysid.effects import Effect, normal_equations
 from sysid.effects.catalogue import coefficient_effect
 from sysid.effects.information import Information
 from sysid.effects.selection import Selection
+from tests.helpers.whitened import whitened
 from uqharness.identification.linearised import (
     FlightData,
     Linearisation,
@@ -104,11 +105,7 @@ class LinearFlights:
         for de, z in zip(self.commands, self.measured, strict=True):
             y = simulate(lanes, de)
             columns = (y[:, :, 1:] - y[:, :, :1]) / steps / NOISE[:, None]
-            residual = (z - y[:, :, 0]) / NOISE
-            is_measured = np.ones(z.shape, dtype=bool)
-            start = np.zeros((8, 1 + len(names)))
-            columns = columns.astype(np.float32)
-            white.append(WhitenedSegment(residual, columns, 0.0, start, is_measured, np.ones(2)))
+            white.append(whitened((z - y[:, :, 0]) / NOISE, columns))
         return normal_equations(white, names, [0, 1, 0], {}, None)
 
     def estimate(self, keys: Sequence[str]) -> tuple[dict[str, float], float]:

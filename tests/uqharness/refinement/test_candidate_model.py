@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from sysid.effects.information import Information, normal_equations
-from sysid.effects.prediction import WhitenedSegment
 from sysid.effects.selection import SelectedEffect, Selection
+from tests.helpers.whitened import whitened
 from uqharness.identification.linearised import ModelState
 from uqharness.refinement.candidate_model import CandidateModel, joint_point, secant_step
 from uqharness.replay.replay import STATES
@@ -24,13 +24,7 @@ def information(values: tuple[float, ...]) -> Information:
     for _ in range(2):
         columns = rng.standard_normal((400, 2, len(NAMES)))
         start = rng.standard_normal((8, 1 + len(NAMES)))
-        is_measured = np.ones((400, 2), dtype=bool)
-        residual = columns @ np.array(values)
-        segments.append(
-            WhitenedSegment(
-                residual, columns.astype(np.float32), 0.0, start, is_measured, np.ones(2)
-            )
-        )
+        segments.append(whitened(columns @ np.array(values), columns, start))
     return normal_equations(segments, NAMES, [0, 1], {})
 
 

@@ -10,9 +10,8 @@ import numpy as np
 import pytest
 
 from sysid.effects.catalogue import subsystem_effects
-from sysid.effects.information import normal_equations
-from sysid.effects.prediction import WhitenedSegment
 from sysid.effects.selection import SelectedEffect, Selection
+from tests.helpers.whitened import information_of
 from uqharness.refinement.candidates import eligible, largest_step, without_unresolved
 from uqharness.simulator.actuators import Actuator
 
@@ -22,31 +21,23 @@ EFFECTS = [e for e in subsystem_effects(["aileron"], [], []) if e.term in ("lag"
 
 def at(value: float, late: dict[str, list[str]], servos=None, held=EFFECTS) -> dict[str, float]:
     """Eligible effects where every one of them is estimated at ``value`` exactly; a doublet of 10
-    deg; held: of which the evidence has columns."""
+    deg; held: of which the information has columns."""
     rng = np.random.default_rng(1)
     columns = rng.standard_normal((50, 2, len(held)))
     residual = value * columns.sum(axis=2)
-    white = WhitenedSegment(
-        residual,
-        columns.astype(np.float32),
-        0.0,
-        np.zeros((8, 1 + len(held))),
-        np.ones((50, 2), dtype=bool),
-        np.ones(2),
-    )
-    evidence = normal_equations([white], [e.key for e in held], [0], {})
+    information = information_of(residual, columns, [e.key for e in held])
     controls = np.zeros((50, 4))
     controls[10:20, 1], controls[20:30, 1] = 10.0, -10.0
-    setup = SimpleNamespace(
+    data = SimpleNamespace(
         segments=[SimpleNamespace(dt_s=DT, controls=controls)], late=late, servos=servos or {}
     )
-    return eligible(EFFECTS, setup, (), evidence)  # type: ignore[arg-type]
+    return eligible(EFFECTS, data, (), information)  # type: ignore[arg-type]
 
 
 def test_the_largest_step_is_half_the_commands_range():
     controls = np.array([[0.0, -8.0, 0.0, 50.0], [0.0, 8.0, 0.0, 60.0]])
-    setup = SimpleNamespace(segments=[SimpleNamespace(dt_s=DT, controls=controls)])
-    assert largest_step(setup, EFFECTS[0]) == 8.0  # type: ignore[arg-type]
+    data = SimpleNamespace(segments=[SimpleNamespace(dt_s=DT, controls=controls)])
+    assert largest_step(data, EFFECTS[0]) == 8.0  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize(
@@ -66,7 +57,7 @@ def test_what_the_rows_do_not_resolve_is_no_candidate(value, late, terms):
 
 
 def test_what_the_search_did_without_is_no_candidate():
-    """Where delays of single channels were not believed, the last flight's evidence has no columns
+    """Where delays of single channels were not believed, the last flight's information has no columns
     of them.
     """
     assert {k.rpartition("/")[2] for k in at(5e-3, {}, held=EFFECTS[:1])} == {EFFECTS[0].term}
@@ -92,24 +83,17 @@ def test_a_rate_limit_below_what_rows_resolve_is_no_effect_though_it_was_flown(
     (effect,) = (e for e in EFFECTS if e.term == "rate_limit")
     value = 1.0 / limit_dps - 1.0 / 240.0
     columns = rng.standard_normal((200, 2, 2))
-    white = WhitenedSegment(
-        columns @ np.array([1.0, value]),
-        columns.astype(np.float32),
-        0.0,
-        np.zeros((8, 3)),
-        np.ones((200, 2), dtype=bool),
-        np.ones(2),
-    )
+    residual = columns @ np.array([1.0, value])
     keys = ("aero/Cl_p", effect.key)
     controls = np.array([[0.0, -10.0, 0.0, 50.0], [0.0, 10.0, 0.0, 50.0]])
-    setup = SimpleNamespace(
+    data = SimpleNamespace(
         segments=[SimpleNamespace(dt_s=DT, controls=controls)],
         late=late,
         servos={"aileron": Actuator(25.0, 240.0)},
     )
     selection = Selection((SelectedEffect(effect.key, value, 1e-6, 17.0, 289.0, 1.0, 0.0),))
-    information = normal_equations([white], keys, [0], {})
-    retained = without_unresolved(selection, [effect], setup, keys, information)  # type: ignore[arg-type]
+    information = information_of(residual, columns, keys)
+    retained = without_unresolved(selection, [effect], data, keys, information)  # type: ignore[arg-type]
     assert bool(retained.chosen) is listed
 
 
@@ -117,16 +101,9 @@ def test_a_time_below_what_rows_resolve_is_no_effect_though_it_was_flown():
     rng = np.random.default_rng(2)
     keys = ["effect/sensor.rates/delay", "effect/Cm/p_hat^2"]
     columns = rng.standard_normal((200, 2, 3))
-    white = WhitenedSegment(
-        columns @ np.array([0.4, 1.0, 1.0]),
-        columns.astype(np.float32),
-        0.0,
-        np.zeros((8, 4)),
-        np.ones((200, 2), dtype=bool),
-        np.ones(2),
-    )
-    evidence = normal_equations([white], ["aero/Cm_q", *keys], [0], {})
-    setup = SimpleNamespace(segments=[SimpleNamespace(dt_s=DT)], late={}, servos={})
+    residual = columns @ np.array([0.4, 1.0, 1.0])
+    information = information_of(residual, columns, ["aero/Cm_q", *keys])
+    data = SimpleNamespace(segments=[SimpleNamespace(dt_s=DT)], late={}, servos={})
     units = zip(keys, ("s", "1"), strict=True)
     effects = {k: SimpleNamespace(key=k, unit=u, positive=False, penalty=0.0) for k, u in units}
 
@@ -136,7 +113,7 @@ def test_a_time_below_what_rows_resolve_is_no_effect_though_it_was_flown():
             for k, v in zip(keys, (late_s, 1.0), strict=True)
         )
         remainder = without_unresolved(
-            Selection(chosen), [*effects.values()], setup, ("aero/Cm_q", *keys), evidence
+            Selection(chosen), [*effects.values()], data, ("aero/Cm_q", *keys), information
         )
         return [c.key for c in remainder.chosen]
 
@@ -158,16 +135,9 @@ def test_a_time_too_short_to_be_named_stands_beside_the_effect_that_it_may_be(
     columns[:, :, 1] = -1000.0 * (
         columns[:, :, 0] + alike * columns[:, :, 1]
     )  # -1 ms of it does what 1 of the term does
-    white = WhitenedSegment(
-        columns[:, :, 0] + 0.1 * rng.standard_normal((200, 2)),
-        columns.astype(np.float32),
-        0.0,
-        np.zeros((8, 3)),
-        np.ones((200, 2), dtype=bool),
-        np.ones(2),
-    )
-    evidence = normal_equations([white], [term, delay], [0], {})
-    setup = SimpleNamespace(segments=[SimpleNamespace(dt_s=DT)], late={}, servos={})
+    residual = columns[:, :, 0] + 0.1 * rng.standard_normal((200, 2))
+    information = information_of(residual, columns, [term, delay])
+    data = SimpleNamespace(segments=[SimpleNamespace(dt_s=DT)], late={}, servos={})
     effects = [
         SimpleNamespace(
             key=k, unit=u, positive=positive, penalty=0.0, subsystem=of, term=k.rpartition("/")[2]
@@ -175,6 +145,6 @@ def test_a_time_too_short_to_be_named_stands_beside_the_effect_that_it_may_be(
         for k, u, of in ((term, "1", None), (delay, "s", "actuator.elevator"))
     ]
     chosen = (SelectedEffect(term, 1.0, 0.05, 20.0, 400.0, 1.0, 0.0),)
-    (effect,) = without_unresolved(Selection(chosen), effects, setup, (term,), evidence).chosen
+    (effect,) = without_unresolved(Selection(chosen), effects, data, (term,), information).chosen
     assert effect.key == term
     assert [a.key for a in effect.alternatives if not a.separable] == ([delay] if reference else [])

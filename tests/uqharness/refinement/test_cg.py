@@ -44,7 +44,7 @@ def aircraft() -> Aircraft:
 
 
 @pytest.fixture(scope="module")
-def setup(aircraft: Aircraft, tmp_path_factory: pytest.TempPathFactory) -> FlightData:
+def data(aircraft: Aircraft, tmp_path_factory: pytest.TempPathFactory) -> FlightData:
     path = tmp_path_factory.mktemp("cg") / "flight.parquet"
     fly((("pitch-3211", 22.0), ("roll-yaw", 22.0)), seed=1, seconds=6.0).write(path)
     flights, measured = read_flights([path], aircraft, None, None)
@@ -60,20 +60,20 @@ def moved(aircraft: Aircraft, tmp_path_factory: pytest.TempPathFactory) -> Aircr
 
 
 def along_axis(
-    aircraft: Aircraft, setup: FlightData, values: dict[str, float]
+    aircraft: Aircraft, data: FlightData, values: dict[str, float]
 ) -> tuple[Trajectory, list[np.ndarray]]:
     """Replays, and the columns of a centre of gravity further forward along them."""
     effect = {e.key: e for e in subsystem_effects([], [], [])}["effect/mass/cg_x"]
-    with stage_models(aircraft, replace(setup, positions=())) as models:
+    with stage_models(aircraft, replace(data, positions=())) as models:
         point = ModelState(
-            values, dict.fromkeys(setup.nuisance, 0.0), tuple(s.start for s in setup.segments)
+            values, dict.fromkeys(data.nuisance, 0.0), tuple(s.start for s in data.segments)
         )
-        trajectory = replayed(models.model, setup, point, SERIAL)
+        trajectory = replayed(models.model, data, point, SERIAL)
         result = probe_trajectory(
-            models.direct_model, setup, trajectory, positions(models.model, setup), SERIAL
+            models.direct_model, data, trajectory, positions(models.model, data), SERIAL
         )
         return trajectory, [
-            c.outputs[effect.key] for c in effect_columns(setup, result, trajectory, [effect])
+            c.outputs[effect.key] for c in effect_columns(data, result, trajectory, [effect])
         ]
 
 
@@ -91,12 +91,12 @@ def about_another_point(aircraft: Aircraft) -> dict[str, float]:
 
 
 def test_it_flies_as_with_the_moments_of_the_forces_and_is_felt_as_its_column_says(
-    aircraft, moved, setup
+    aircraft, moved, data
 ):
-    plain, columns = along_axis(aircraft, setup, about_another_point(aircraft))
-    forward, _ = along_axis(moved, with_sensors_of(setup, moved), {})
-    clip_to_active_range = [setup.outputs.index(c) for c in ACCELERATIONS]
-    remainder = [k for k in range(len(setup.outputs)) if k not in clip_to_active_range]
+    plain, columns = along_axis(aircraft, data, about_another_point(aircraft))
+    forward, _ = along_axis(moved, with_sensors_of(data, moved), {})
+    clip_to_active_range = [data.outputs.index(c) for c in ACCELERATIONS]
+    remainder = [k for k in range(len(data.outputs)) if k not in clip_to_active_range]
     for before, after, column in zip(plain.outputs, forward.outputs, columns, strict=True):
         change = after - before
         assert np.abs(change[:, remainder]).max() < 1e-9

@@ -7,9 +7,9 @@ import pytest
 
 from sysid.effects import OVERWHELMING_T
 from sysid.effects.catalogue import coefficient_effect, subsystem_effects
-from sysid.effects.information import Information, normal_equations
-from sysid.effects.prediction import WhitenedSegment
+from sysid.effects.information import Information
 from sysid.effects.selection import SelectedEffect
+from tests.helpers.whitened import information_of
 from tests.uqharness.refinement.linear_aircraft import PARAMETERS, LinearFlights
 from uqharness.refinement.effect_search import (
     EffectSearch,
@@ -122,11 +122,7 @@ def information(share: float = 0.3) -> Information:
     thrust = speed + share * different
     columns = np.stack([free, thrust, speed, -2.0 * thrust, other], axis=2)
     residual = 2.0 * speed + rng.standard_normal((400, 2))
-    present = np.ones((400, 2), dtype=bool)
-    white = WhitenedSegment(
-        residual, columns.astype(np.float32), 0.0, np.zeros((8, 6)), present, np.ones(2)
-    )
-    return normal_equations([white], KEYS, [0], {})
+    return information_of(residual, columns, KEYS)
 
 
 def test_comparable_candidates_explain_nearly_as_much_and_are_something_else():

@@ -51,7 +51,7 @@ def change(rng: np.random.Generator, size: float, truth: bool, colour: float = 0
     """compare of an effect of ``size`` standard deviations on one of three channels, in the
     flights or not.
     """
-    setup = SimpleNamespace(segments=[SimpleNamespace(dt_s=0.02)] * 4)
+    data = SimpleNamespace(segments=[SimpleNamespace(dt_s=0.02)] * 4)
     reduced, with_ = [], []
     for _ in range(4):
         noise = rng.standard_normal((300, 3))
@@ -61,7 +61,7 @@ def change(rng: np.random.Generator, size: float, truth: bool, colour: float = 0
         d[:, 1] = size * np.sin(np.arange(300) / 20.0)
         reduced.append(noise + d if truth else noise)
         with_.append(noise if truth else noise - d)
-    return compare(show(reduced), show(with_), setup, show([rng.standard_normal((300, 3))]))
+    return compare(show(reduced), show(with_), data, show([rng.standard_normal((300, 3))]))
 
 
 def test_standard_error_of_the_change_is_that_of_the_draws():
@@ -86,7 +86,7 @@ def test_share_of_the_estimate_that_the_flights_have():
     draws.
     """
     rng = np.random.default_rng(6)
-    setup = SimpleNamespace(segments=[SimpleNamespace(dt_s=0.02)] * 4)
+    data = SimpleNamespace(segments=[SimpleNamespace(dt_s=0.02)] * 4)
     d = np.zeros((300, 3))
     d[:, 1] = 0.6 * np.sin(np.arange(300) / 20.0)
     for part in (0.0, 0.4, 1.0, 1.3):
@@ -94,7 +94,7 @@ def test_share_of_the_estimate_that_the_flights_have():
         for _ in range(60):
             noise = [rng.standard_normal((300, 3)) for _ in range(4)]
             reduced, with_ = ([e + (part - selected) * d for e in noise] for selected in (0.0, 1.0))
-            result.append(compare(show(reduced), show(with_), setup, show(noise)).share)
+            result.append(compare(show(reduced), show(with_), data, show(noise)).share)
         shares, errors = np.array(result).T
         assert shares.mean() == pytest.approx(part, abs=4.0 * shares.std() / np.sqrt(60.0))
         # What neither model explains is in the error, too: between none and all it is too large,
@@ -125,12 +125,12 @@ def test_predictions_of_another_damping_are_judged_by_their_likelihood():
     are smaller: no merit of it.
     """
     rng = np.random.default_rng(4)
-    setup = SimpleNamespace(segments=[SimpleNamespace(dt_s=0.02)] * 4)
+    data = SimpleNamespace(segments=[SimpleNamespace(dt_s=0.02)] * 4)
     result = []
     for _ in range(100):
         remaining = [rng.standard_normal((300, 3)) for _ in range(4)]
         wide = show([e / 1.1 for e in remaining], 1.1)
-        result.append(compare(wide, show(remaining), setup, show(remaining)))
+        result.append(compare(wide, show(remaining), data, show(remaining)))
         assert wide.cost < show(remaining).cost
     # Kullback and Leibler's distance of the two normal distributions, twice, of 3600 samples.
     expected = 3600.0 * (2.0 * np.log(1.1) + 1.0 / 1.1**2 - 1.0)
@@ -166,8 +166,8 @@ def test_more_than_half_of_an_estimate_is_an_effect_that_is_seen(share, std, obs
 
 def test_what_changes_nothing_is_not_said_to_grow():
     white = [np.ones((50, 2))] * 4
-    setup = SimpleNamespace(segments=[SimpleNamespace(dt_s=0.02)] * 4)
-    verdict = compare(show(white), show(white), setup, show(white))
+    data = SimpleNamespace(segments=[SimpleNamespace(dt_s=0.02)] * 4)
+    verdict = compare(show(white), show(white), data, show(white))
     assert (verdict.change, verdict.std, verdict.gap) == (0.0, 0.0, "cannot tell")
     assert np.isnan(verdict.share).all()
     assert BEYOND_CHANCE > 1.0
@@ -179,10 +179,10 @@ def test_flights_far_from_both_models_judge_neither():
     """
     rng = np.random.default_rng(2)
     noise, d = rng.standard_normal((400, 2)), np.full((400, 2), 0.8)
-    setup = SimpleNamespace(segments=[SimpleNamespace(dt_s=0.02)])
-    sound = compare(show([noise]), show([noise + d]), setup, show([noise]))
+    data = SimpleNamespace(segments=[SimpleNamespace(dt_s=0.02)])
+    sound = compare(show([noise]), show([noise + d]), data, show([noise]))
     broken = compare(
-        show([noise - 6.0 * d / 0.8]), show([noise - 7.0 * d / 0.8]), setup, show([noise])
+        show([noise - 6.0 * d / 0.8]), show([noise - 7.0 * d / 0.8]), data, show([noise])
     )
     assert (sound.gap, broken.gap) == ("grew", "too far")
     assert broken.residual_ratio == pytest.approx(6.0, rel=0.1)
@@ -199,9 +199,9 @@ def test_properties_fly_what_an_aircraft_of_its_own_would():
         SelectedEffect(e.key, value, 0.1, 10.0, 100.0, 1.0, 0.0)
         for e, value in ((term, 3.0), (lag, 0.01), (sensor, 0.1))
     )
-    setup = SimpleNamespace(carriers={term.key: EffectProperty("aero/Cm_p2", 0.0)})
+    data = SimpleNamespace(carriers={term.key: EffectProperty("aero/Cm_p2", 0.0)})
     result = SearchResult(
-        setup,
+        data,
         ("aero/Cm_q",),
         None,
         None,
@@ -304,9 +304,9 @@ def result_of(flights: LinearFlights, keys: Sequence[str]) -> SearchResult:
     plain, _ = flights.estimate(())
     context, _ = flights.context(4.0)
     segments = tuple(SimpleNamespace(dt_s=0.02) for _ in flights.commands)
-    setup = replace(model.data, segments=segments)
+    data = replace(model.data, segments=segments)
     return SearchResult(
-        setup,
+        data,
         tuple(PARAMETERS),
         context.baseline_fit,
         model.fit,

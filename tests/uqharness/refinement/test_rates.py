@@ -8,7 +8,8 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from sysid.effects import Effect, SelectedEffect, Selection, WhitenedSegment, normal_equations
+from sysid.effects import Effect, SelectedEffect, Selection
+from tests.helpers.whitened import information_of
 from uqharness.identification.linearised import (
     LOCAL_SLOPE,
     dead_zone_change,
@@ -32,7 +33,7 @@ DT = 0.02
 KEY = "effect/actuator.elevator/rate_limit"
 
 
-def setup_with(rate: float):
+def data_with(rate: float):
     """Doublets of 10 deg of an elevator whose lag makes its fastest motion some 110 deg/s."""
     controls = np.zeros((200, 4))
     controls[20:60, 0], controls[60:100, 0] = 10.0, -10.0
@@ -40,28 +41,28 @@ def setup_with(rate: float):
     return SimpleNamespace(segments=[segment], servos={"elevator": Actuator(25.0, rate)})
 
 
-def fastest(setup) -> float:
-    moved = Actuator(25.0).follow(setup.segments[0].controls[:, 0], DT, DT / runs_per_row(DT))
+def fastest(data) -> float:
+    moved = Actuator(25.0).follow(data.segments[0].controls[:, 0], DT, DT / runs_per_row(DT))
     return float(np.abs(np.diff(moved)).max() / DT)
 
 
 def test_a_limit_that_is_felt_may_be_too_low_as_well_as_too_high():
-    limited = setup_with(40.0)
+    limited = data_with(40.0)
     request = _trial_rates(limited, "elevator", limited.servos["elevator"])
     assert min(request) < 40.0 < max(request) == pytest.approx(fastest(limited))
-    free = setup_with(1000.0)
+    free = data_with(1000.0)
     assert max(_trial_rates(free, "elevator", free.servos["elevator"])) < fastest(free)
 
 
 @pytest.mark.parametrize(("limit", "share"), [(80.0, 0.02), (25.0, 0.02)])
 def test_the_limit_that_does_just_what_is_missing_is_found_on_either_side(limit, share):
-    setup = setup_with(40.0)
-    servo, command = setup.servos["elevator"], setup.segments[0].controls[:, 0]
+    data = data_with(40.0)
+    servo, command = data.servos["elevator"], data.segments[0].controls[:, 0]
     missing = Actuator(25.0, limit).follow(command, DT, DT / runs_per_row(DT)) - servo.follow(
         command, DT, DT / runs_per_row(DT)
     )
     speeds = np.array(
-        [s for s in _trial_rates(setup, "elevator", servo) if (s > 40.0) == (limit > 40.0)]
+        [s for s in _trial_rates(data, "elevator", servo) if (s > 40.0) == (limit > 40.0)]
     )
     expected = []
     for speed in speeds:
@@ -74,7 +75,7 @@ def test_the_limit_that_does_just_what_is_missing_is_found_on_either_side(limit,
 
 
 def test_above_the_fastest_motion_every_limit_is_the_same():
-    limited = setup_with(40.0)
+    limited = data_with(40.0)
     outside = SelectedEffect(KEY, 1.0 / 500.0 - 1.0 / 40.0, 1e-4, -230.0, 1.0, 1.0, 0.0)
     (inside,) = clip_to_active_range(Selection((outside,)), limited).chosen
     # Where the command jumps a servo is faster than on the way from row to row.
@@ -95,17 +96,10 @@ def test_a_limit_above_the_servos_own_is_known_by_its_slope_where_it_flies():
 
     def result(local: np.ndarray) -> SimpleNamespace:
         columns = {"other": 10.0 * other, KEY: 1e5 * complete, KEY + LOCAL_SLOPE: local}
-        white = WhitenedSegment(
-            noise,
-            np.stack(list(columns.values()), axis=2).astype(np.float32),
-            0.0,
-            np.zeros((8, 4)),
-            np.ones((400, 1), dtype=bool),
-            np.ones(1),
-        )
-        evidence = normal_equations([white], tuple(columns), [0], {}).without_values({KEY: value})
+        stacked = np.stack(list(columns.values()), axis=2)
+        information = information_of(noise, stacked, tuple(columns)).without_values({KEY: value})
         return SimpleNamespace(
-            information=evidence, free=("other", KEY), data=setup_with(40.0), values={KEY: value}
+            information=information, free=("other", KEY), data=data_with(40.0), values={KEY: value}
         )
 
     choice = SelectedEffect(KEY, value, 1e-5, value / 1e-5, 1.0, 1.0, 0.0)
@@ -115,10 +109,10 @@ def test_a_limit_above_the_servos_own_is_known_by_its_slope_where_it_flies():
     assert reference.value == pytest.approx(value + step, rel=1e-4)
     assert reference.std == pytest.approx(np.sqrt(np.linalg.inv(A.T @ A)[1, 1]), rel=0.2)
     assert reference.t == choice.t
-    assert not is_fastest(reference, setup_with(40.0))
+    assert not is_fastest(reference, data_with(40.0))
     # A limit of which the flights say nothing may be any number above.
     (silent,) = with_local_rate_limits(Selection((choice,)), result(0.0 * local)).chosen
-    assert is_fastest(silent, setup_with(40.0))
+    assert is_fastest(silent, data_with(40.0))
 
 
 def test_only_limits_above_the_servos_own_have_a_slope_of_their_own():

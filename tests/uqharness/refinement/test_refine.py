@@ -481,13 +481,13 @@ def test_in_turbulence_the_table_is_that_of_compare(gusty):
     in each channel.
     """
     aircraft = find_aircraft("espaaro")
-    setup = with_card_noise(aircraft, make_flight_data(aircraft, [gusty], ()))
-    zeros = [np.zeros_like(z) for z in setup.measured]
+    data = with_card_noise(aircraft, make_flight_data(aircraft, [gusty], ()))
+    zeros = [np.zeros_like(z) for z in data.measured]
     predicted = Evaluation(
-        None, zeros, setup.noise, zeros, 0.0, (0.0,), [np.ones((9, 6))], np.ones(6)
+        None, zeros, data.noise, zeros, 0.0, (0.0,), [np.ones((9, 6))], np.ones(6)
     )  # type: ignore[arg-type]
-    visible = with_replays(predicted, aircraft, Dataset(setup), SERIAL, ModelState({}, {}, ()))
-    result = residual_tables(setup, visible, visible)
+    visible = with_replays(predicted, aircraft, Dataset(data), SERIAL, ModelState({}, {}, ()))
+    result = residual_tables(data, visible, visible)
     other = compare(aircraft, gusty, (), workers=1)
     ratios = {c: row["rms_after"] / row["noise_rms"] for c, row in result["channels"].items()}
     assert max(ratios.values()) > 1.5
@@ -510,16 +510,16 @@ def test_tables_speak_of_the_noise_that_compare_knows_but_for_what_an_estimator_
     ]
     louder = np.array([0.01, 0.002]) * rng.standard_normal((4000, 2))
     # The fit found other noise in other flights.
-    setup = SimpleNamespace(
+    data = SimpleNamespace(
         measured=(louder,),
         outputs=("p_radps", "alpha_rad"),
         noise=np.array([0.013, 0.05]),
         flights=flights,
     )
-    assert ReplayEstimator().evaluation_noise(card, setup) == pytest.approx([0.01, 0.05], rel=0.05)
+    assert ReplayEstimator().evaluation_noise(card, data) == pytest.approx([0.01, 0.05], rel=0.05)
     calm = SimpleNamespace(
         measured=(0.1 * louder,),
-        outputs=setup.outputs,
+        outputs=data.outputs,
         noise=np.array([0.001, 0.05]),
         flights=flights,
     )

@@ -36,5 +36,5 @@ def test_a_flight_that_chose_is_refused_by_its_content_not_its_name(tmp_path: Pa
     ],
 )
 def test_every_third_manoeuvre_of_a_kind_confirms_beginning_with_the_second(kinds, confirms):
-    setup = SimpleNamespace(segments=[SimpleNamespace(kind=kind) for kind in kinds])
-    assert confirming_segments(setup).astype(int).tolist() == confirms
+    data = SimpleNamespace(segments=[SimpleNamespace(kind=kind) for kind in kinds])
+    assert confirming_segments(data).astype(int).tolist() == confirms

@@ -9,9 +9,9 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from sysid.effects import Information, normal_equations
-from sysid.effects.prediction import WhitenedSegment
+from sysid.effects import Information
 from sysid.effects.selection import SelectedEffect, Selection
+from tests.helpers.whitened import information_of
 from uqharness.refinement.hold_out import (
     TrainTestInformation,
     Verdict,
@@ -34,16 +34,8 @@ def side(
     values = np.array([TRUE[NAMES[0]], TRUE[NAMES[1]], TRUE[KEY], 0.2])
     measured = columns @ values + rng.standard_normal(n)
     residual = measured - columns[:, :3] @ np.array([at[k] for k in (*NAMES, KEY)])
-    present = np.ones((n, 1), dtype=bool)
-    white = WhitenedSegment(
-        residual[:, None],
-        columns[:, None, :].astype(np.float32),
-        0.0,
-        np.zeros((8, 5)),
-        present,
-        np.ones(1),
-    )
-    return normal_equations([white], (*NAMES, KEY, "bias/f/q"), [0], {}), columns, measured
+    names = (*NAMES, KEY, "bias/f/q")
+    return information_of(residual[:, None], columns[:, None, :], names), columns, measured
 
 
 def pair_of(
@@ -98,8 +90,8 @@ def test_the_spread_of_the_change_is_that_of_many_train_flights():
             predictions(r, Y)
             for r in (w - Y[:, :3] @ [fitted[k] for k in (*NAMES, KEY)], w - Y[:, :2] @ plain[:2])
         )
-        setup = SimpleNamespace(segments=[SimpleNamespace(dt_s=0.02)])
-        verdict = compare(reduced, with_, setup, with_)  # type: ignore[arg-type]
+        data = SimpleNamespace(segments=[SimpleNamespace(dt_s=0.02)])
+        verdict = compare(reduced, with_, data, with_)  # type: ignore[arg-type]
         sure = with_parameter_uncertainty(verdict, result, reduced, with_, [KEY], KEY)  # type: ignore[arg-type]
         changes.append(verdict.change)
         noise.append(2.0 * np.linalg.norm(reduced.white[0] - with_.white[0]))

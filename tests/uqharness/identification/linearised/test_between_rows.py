@@ -124,7 +124,7 @@ def test_what_is_unseen_of_a_jump_is_what_a_replay_lacks_without_it(ideal):
         arm_m=arm,
     )
     blank = np.zeros((25, len(outputs)))
-    setup = FlightData(
+    data = FlightData(
         (), (segment,), ({},), outputs, (blank,), np.ones(len(outputs)), (), {}, jumping=("f",)
     )
     with (
@@ -134,15 +134,15 @@ def test_what_is_unseen_of_a_jump_is_what_a_replay_lacks_without_it(ideal):
         observed, lacking = (
             replay_at(
                 model,
-                setup,
+                data,
                 ModelState({}, {jump_share_name("f"): share}, (segment.start,)),
                 SERIAL,
             )
             for share in (0.0, 1.0)
         )
-        fit = fit_at(StagedModels(model, level), setup, ("aero/Cm_q",), observed, SERIAL)
+        fit = fit_at(StagedModels(model, level), data, ("aero/Cm_q",), observed, SERIAL)
         with ReplayFolder(aircraft) as servos:
-            assert not linearise.path_deviations(servos, setup, observed.point)[0][1].any()
+            assert not linearise.path_deviations(servos, data, observed.point)[0][1].any()
     expected = lacking.outputs[0] - observed.outputs[0]
     result = fit.columns[0].outputs[jump_share_name("f")]
     assert np.abs(expected).max() > 0.5
@@ -169,7 +169,7 @@ def test_columns_of_what_goes_with_a_surface_know_when_it_jumps(share):
         100.0,
     )
     noise = np.array([0.05, 0.05, 0.05, 0.002, 0.002, 0.002])
-    setup = FlightData(
+    data = FlightData(
         (), (segment,), ({},), outputs, (np.zeros((25, 6)),), noise, (), {}, jumping=("f",)
     )
     names = ("aero/Cm_de", "aero/CZ_de", "aero/Cl_da", "aero/Cn_da")
@@ -181,10 +181,10 @@ def test_columns_of_what_goes_with_a_surface_know_when_it_jumps(share):
         values = {n: float(fdm[n]) for n in names}
         point = ModelState(values, {jump_share_name("f"): share}, (segment.start,))
         fit = fit_at(
-            StagedModels(model, level), setup, names, replay_at(model, setup, point, SERIAL), SERIAL
+            StagedModels(model, level), data, names, replay_at(model, data, point, SERIAL), SERIAL
         )
         (of,), (steps,) = fit.columns, fit.steps
-        observed = MeasuredSystem.of(steps, setup.measured[0], setup.output_rows)
+        observed = MeasuredSystem.of(steps, data.measured[0], data.output_rows)
         by = gains(observed, noise, None)
         result = whiten_innovations(observed, by, names, of.inputs, {}, of.ends, of.seen).columns
         ramped = whiten_innovations(observed, by, names, of.inputs, {}).columns
@@ -192,7 +192,7 @@ def test_columns_of_what_goes_with_a_surface_know_when_it_jumps(share):
             step = 0.02 * values[name]
             sides = [
                 replay_at(
-                    model, setup, replace(point, values={**values, name: values[name] + s}), SERIAL
+                    model, data, replace(point, values={**values, name: values[name] + s}), SERIAL
                 )
                 for s in (step, -step)
             ]
@@ -209,7 +209,7 @@ def test_flights_jump_where_the_models_controls_do():
     segment = Segment(
         "step", "f", DT * np.arange(4), controls, np.array([22.0, 0.03, *np.zeros(7)]), 100.0, 100.0
     )
-    setup = FlightData(
+    data = FlightData(
         (),
         (segment,),
         ({},),
@@ -222,11 +222,11 @@ def test_flights_jump_where_the_models_controls_do():
     )
     aircraft = find_aircraft("espaaro")
     with ReplayFolder(aircraft, ideal=("elevator",)) as at_once, ReplayFolder(aircraft) as servos:
-        assert linearise.with_jumping_flights(setup, at_once).jumping == ("f",)
-        assert linearise.with_jumping_flights(setup, servos).jumping == ()
+        assert linearise.with_jumping_flights(data, at_once).jumping == ("f",)
+        assert linearise.with_jumping_flights(data, servos).jumping == ()
         # A sensor that is late says nothing of what a row has seen.
         assert (
-            linearise.with_jumping_flights(replace(setup, late={"f": ["gyros"]}), at_once).jumping
+            linearise.with_jumping_flights(replace(data, late={"f": ["gyros"]}), at_once).jumping
             == ()
         )
 
@@ -259,9 +259,9 @@ def test_forces_between_rows_are_the_models_own(monkeypatch):
     probe = SimpleNamespace(
         reference=SimpleNamespace(x=x, force=none, moment=loads(x, u)), controls=u
     )
-    setup = SimpleNamespace(segments=["one"], properties=lambda point: {})
+    data = SimpleNamespace(segments=["one"], properties=lambda point: {})
     (bend,) = linearise.load_deviations(
-        None, setup, SimpleNamespace(height=[np.zeros(4)], point=None), [probe], [offset], map
+        None, data, SimpleNamespace(height=[np.zeros(4)], point=None), [probe], [offset], map
     )
     assert bend.shape == (2, 3, 6)
     np.testing.assert_allclose(bend[1, :, 3], [0.0, -512.0, 0.0])

@@ -20,7 +20,7 @@ def test_the_last_step_is_taken_unless_what_was_flown_stands(monkeypatch):
     )
     request = []
 
-    def corrected_each(evidence, free, expected):
+    def corrected_each(information, free, expected):
         request.append(tuple(free))
         return dict.fromkeys(expected, (0.5, 0.2, 0.1))
 

@@ -34,8 +34,8 @@ def test_a_point_has_what_a_fit_found_and_nothing_of_what_it_did_not_estimate():
         "unseen/f": 0.5,
     }
     result = SimpleNamespace(values=lambda: values, starts=list)
-    setup = SimpleNamespace(nuisance=("bias/f/p_radps", "lateness/f/controls", "delay/f/alpha_rad"))
-    point = point_of(result, setup, ["aero/Cm_q"])
+    data = SimpleNamespace(nuisance=("bias/f/p_radps", "lateness/f/controls", "delay/f/alpha_rad"))
+    point = point_of(result, data, ["aero/Cm_q"])
     assert point.values == {"aero/Cm_q": -10.0}
     assert point.nuisance == {
         "bias/f/p_radps": 0.0,

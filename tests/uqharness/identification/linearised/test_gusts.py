@@ -59,7 +59,7 @@ def point(**sensed: float) -> ModelState:
     )
 
 
-def setup_of(measured: np.ndarray) -> SimpleNamespace:
+def data_of(measured: np.ndarray) -> SimpleNamespace:
     segment = SimpleNamespace(flight="one", dt_s=DT)
     return SimpleNamespace(
         outputs=OUTPUTS,
@@ -85,14 +85,14 @@ def test_a_path_goes_with_the_sensors_that_measured_it():
     was measured stays.
     """
     x = np.abs(np.random.default_rng(2).standard_normal((N, len(STATES)))) + 1.0
-    setup = setup_of(np.zeros((N, 3)))
+    data = data_of(np.zeros((N, 3)))
     before = replace(
         point(V_mps__scale=0.1, alpha_rad__bias=0.02), nuisance={"bias/one/q_radps": 0.01}
     )
     after = replace(
         point(V_mps__scale=0.25), nuisance={"bias/one/q_radps": -0.03, "bias/other/q_radps": 9.0}
     )
-    (result,) = with_equal_readings(setup, [x], before, after)  # type: ignore[arg-type]
+    (result,) = with_equal_readings(data, [x], before, after)  # type: ignore[arg-type]
     V, alpha, q = (STATES.index(c) for c in ("V_mps", "alpha_rad", "q_radps"))
     np.testing.assert_allclose(1.25 * result[:, V], 1.1 * x[:, V])
     np.testing.assert_allclose(result[:, alpha], x[:, alpha] + 0.02)
@@ -107,14 +107,14 @@ def test_a_late_sensor_is_compared_with_what_it_was_to_measure():
     truth = np.column_stack([20.0 + t, np.sin(6.0 * t), np.cos(t)])
     record = truth.copy()
     record[:, 1] = np.sin(6.0 * (t - 0.095))
-    setup, present = setup_of(record), point(alpha_rad__delay=0.095)
-    (segment,) = setup.segments
-    late = delay_rows(setup, segment, present)
+    data, present = data_of(record), point(alpha_rad__delay=0.095)
+    (segment,) = data.segments
+    late = delay_rows(data, segment, present)
     assert late == {"V_mps": 0, "alpha_rad": 5, "ax_mps2": 0}
-    (z,) = aligned_outputs(setup, present)
+    (z,) = aligned_outputs(data, present)
     model = with_sensor_errors(
         truth.copy(),
-        setup,
+        data,
         segment,
         present,
         shifted_rows=late,
@@ -171,10 +171,10 @@ def test_outputs_between_rows_go_as_the_model_moves_them_however_the_reference_j
     names = ("beta_rad", "p_radps", "az_mps2")
     index = [STEP_OUTPUTS.index(n) for n in names]
     segment = SimpleNamespace(flight="one", dt_s=h)
-    setup = SimpleNamespace(
+    data = SimpleNamespace(
         outputs=names, output_rows=index, segments=(segment,), measured=(np.zeros((N, 3)),)
     )
-    linear = refine_gusts._LinearSystems(setup, SimpleNamespace(point=point()), [probe], SERIAL)  # type: ignore[arg-type]
+    linear = refine_gusts._LinearSystems(data, SimpleNamespace(point=point()), [probe], SERIAL)  # type: ignore[arg-type]
     steps = linearise(rolled, probe.mass, gusts=active)
     y = steps.y_ref[:, index]
     behind = linear._behind(probe, steps, y, active, np.array([late, late, 0.0]))
@@ -268,11 +268,11 @@ def test_inertia_does_not_know_the_airs_rotation():
     rng = np.random.default_rng(1)
     probe = predicted_of(rng)
     (ixz,) = [e for e in subsystem_effects([], [], []) if e.term == "Ixz"]
-    setup, flight = (
-        setup_of(np.zeros((N, 3))),
+    data, flight = (
+        data_of(np.zeros((N, 3))),
         SimpleNamespace(outputs=[np.zeros((N, 3))], point=point()),
     )
-    (columns,) = effect_columns(setup, [probe], flight, [ixz])  # type: ignore[arg-type]
+    (columns,) = effect_columns(data, [probe], flight, [ixz])  # type: ignore[arg-type]
     _, result = columns.inputs[ixz.key]
     (p, q, r), (dp, _, dr) = probe.body[:, 3:6].T, probe.rate[:, 3:6].T
     moment = np.column_stack([dr + p * q, r**2 - p**2, dp - q * r])
@@ -306,8 +306,8 @@ def test_a_delay_takes_the_models_rate_in_gusts_and_the_outputs_own_in_calm_air(
 def test_what_a_scale_does_is_the_slope_of_what_the_sensor_says():
     rng = np.random.default_rng(4)
     truth = rng.standard_normal((N, 3))
-    setup = setup_of(np.zeros((N, 3)))
-    (segment,) = setup.segments
+    data = data_of(np.zeros((N, 3)))
+    (segment,) = data.segments
     (scale,) = [
         e
         for e in subsystem_effects([], ["alpha_rad"], [])
@@ -316,12 +316,12 @@ def test_what_a_scale_does_is_the_slope_of_what_the_sensor_says():
 
     def read(size: float) -> np.ndarray:
         return with_sensor_errors(
-            truth.copy(), setup, segment, point(alpha_rad__scale=size, alpha_rad__bias=0.4)
+            truth.copy(), data, segment, point(alpha_rad__scale=size, alpha_rad__bias=0.4)
         )  # type: ignore[arg-type]
 
     local = point(alpha_rad__scale=0.8, alpha_rad__bias=0.4)
     flight = SimpleNamespace(outputs=[read(0.8)], point=local)
-    (columns,) = effect_columns(setup, [probe_of(rng)], flight, [scale])  # type: ignore[arg-type]
+    (columns,) = effect_columns(data, [probe_of(rng)], flight, [scale])  # type: ignore[arg-type]
     np.testing.assert_allclose(
         columns.outputs[scale.key], (read(0.8 + 1e-6) - read(0.8 - 1e-6)) / 2e-6, atol=1e-8
     )
@@ -329,9 +329,9 @@ def test_what_a_scale_does_is_the_slope_of_what_the_sensor_says():
 
 def test_a_sensor_that_reads_more_reads_more_of_everything():
     rng = np.random.default_rng(5)
-    probe, setup = probe_of(rng), setup_of(np.zeros((N, 3)))
+    probe, data = probe_of(rng), data_of(np.zeros((N, 3)))
     plain, scaled = (
-        steps_of(slopes_of([probe]), [None], setup, at)[0]
+        steps_of(slopes_of([probe]), [None], data, at)[0]
         for at in (point(), point(alpha_rad__scale=0.8))
     )  # type: ignore[arg-type]
     np.testing.assert_allclose(scaled.H[:, 1], 1.8 * plain.H[:, 1])
@@ -396,7 +396,7 @@ def test_steps_too_long_are_shortened_and_those_too_short_lengthened(gain, share
 
 def test_shares_of_jumps_stay_between_none_and_all():
     """A step beyond an end is held back there, and what the others do is asked without it."""
-    setup = SimpleNamespace(
+    data = SimpleNamespace(
         active=(),
         fixed_effects=[],
         jumping=("f", "g"),
@@ -409,11 +409,11 @@ def test_shares_of_jumps_stay_between_none_and_all():
         request.append(constant)
         return np.array([0.3, 0.3]), 1.0
 
-    evidence = SimpleNamespace(names=("unseen/f", "unseen/g"), step=step)
+    information = SimpleNamespace(names=("unseen/f", "unseen/g"), step=step)
     point = ModelState({}, {"unseen/f": 1.0, "unseen/g": 0.9}, ())
-    step_from(setup, point, evidence)  # type: ignore[arg-type]
+    step_from(data, point, information)  # type: ignore[arg-type]
     assert request == [[], ["unseen/f"]]
-    moved = apply_step(setup, point, {"unseen/f": -0.2, "unseen/g": 0.3}, {})  # type: ignore[arg-type]
+    moved = apply_step(data, point, {"unseen/f": -0.2, "unseen/g": 0.3}, {})  # type: ignore[arg-type]
     assert moved.nuisance == {"unseen/f": 0.8, "unseen/g": 1.0}
 
 
@@ -421,7 +421,7 @@ def test_a_rate_limit_stays_where_it_is_felt():
     """Beyond, nothing changes: it ends there, and the others are asked without it."""
     key = "effect/actuator.aileron/rate_limit"
     effect = SimpleNamespace(key=key)
-    setup = SimpleNamespace(
+    data = SimpleNamespace(
         active=(effect,),
         fixed_effects=[],
         jumping=(),
@@ -430,15 +430,15 @@ def test_a_rate_limit_stays_where_it_is_felt():
         carriers={key: None},
     )
     request = []
-    evidence = SimpleNamespace(
+    information = SimpleNamespace(
         names=(key,), step=lambda constant: request.append(constant) or (np.array([-0.03]), 1.0)
     )
     inside, at_end = (ModelState({}, {}, (), {key: value}) for value in (-0.01, -0.02))
-    step_from(setup, inside, evidence)  # type: ignore[arg-type]
-    step_from(setup, at_end, evidence)  # type: ignore[arg-type]
+    step_from(data, inside, information)  # type: ignore[arg-type]
+    step_from(data, at_end, information)  # type: ignore[arg-type]
     assert request == [[], [], [key]]
-    assert apply_step(setup, inside, {key: -0.03}, {}).effects == {key: -0.02}  # type: ignore[arg-type]
-    assert apply_step(setup, inside, {key: 0.03}, {}).effects == {key: pytest.approx(0.02)}  # type: ignore[arg-type]
+    assert apply_step(data, inside, {key: -0.03}, {}).effects == {key: -0.02}  # type: ignore[arg-type]
+    assert apply_step(data, inside, {key: 0.03}, {}).effects == {key: pytest.approx(0.02)}  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize("late_s", [0.011, -0.0263])
@@ -448,18 +448,18 @@ def test_surfaces_stand_where_commands_that_act_late_have_them(late_s):
     """
     aircraft = find_aircraft("espaaro")
     flight = prepare("f", flown((("pitch-doublet", 22.0),), seed=1, seconds=8.0), ())
-    setup = make_flight_data(aircraft, [flight], ())
+    data = make_flight_data(aircraft, [flight], ())
     with ReplayFolder(aircraft) as model:
         pair, shares = refine_gusts.data_about_delay(
-            model, setup, ModelState({}, {"lateness/f/controls": late_s}, ())
+            model, data, ModelState({}, {"lateness/f/controls": late_s}, ())
         )
         result = refine_gusts._between([positions(model, acts) for acts in pair], shares)
         expected = positions(
             model, make_flight_data(aircraft, [flight.with_delayed_commands(late_s)], ())
         )
-        rows = positions(model, setup)
-        single, empty = refine_gusts.data_about_delay(model, setup, ModelState({}, {}, ()))
-    assert [acts is setup for acts in single] == [True]
+        rows = positions(model, data)
+        single, empty = refine_gusts.data_about_delay(model, data, ModelState({}, {}, ()))
+    assert [acts is data for acts in single] == [True]
     assert not any(empty)
     for one, other, at_rows in zip(result, expected, rows, strict=True):
         rough = at_rows - late_s * np.gradient(at_rows, DT, axis=0)
@@ -473,12 +473,12 @@ def test_where_surfaces_stand_goes_with_how_late_commands_act_without_a_step():
     """
     aircraft = find_aircraft("espaaro")
     flight = prepare("f", flown((("pitch-doublet", 22.0),), seed=1, seconds=8.0), ())
-    setup, step = make_flight_data(aircraft, [flight], ()), refine_gusts.DELAY_GRID * DT
+    data, step = make_flight_data(aircraft, [flight], ()), refine_gusts.DELAY_GRID * DT
     with ReplayFolder(aircraft) as model:
 
         def at(places):
             pair, shares = refine_gusts.data_about_delay(
-                model, setup, ModelState({}, {"lateness/f/controls": places * step}, ())
+                model, data, ModelState({}, {"lateness/f/controls": places * step}, ())
             )
             return np.concatenate(
                 refine_gusts._between([positions(model, acts) for acts in pair], shares)

@@ -15,7 +15,7 @@ from uqharness.identification.linearised.flight_data import (
 OUTPUTS = ("alpha_rad", "p_radps")
 
 
-def setup_of(estimates=()):
+def data_of(estimates=()):
     record = SimpleNamespace(metadata=SimpleNamespace(estimates=estimates))
     other = SimpleNamespace(metadata=SimpleNamespace(estimates=()))
     flights = [SimpleNamespace(record=other), SimpleNamespace(record=record)]
@@ -23,27 +23,27 @@ def setup_of(estimates=()):
 
 
 def test_channels_that_an_estimator_computed_are_known():
-    assert estimated_channels(setup_of(estimates=("alpha_rad", "h_m"))) == ("alpha_rad",)
-    assert estimated_channels(setup_of()) == ()
+    assert estimated_channels(data_of(estimates=("alpha_rad", "h_m"))) == ("alpha_rad",)
+    assert estimated_channels(data_of()) == ()
 
 
 def test_noise_of_a_computed_channel_is_what_the_model_leaves_of_it():
-    setup = setup_of(estimates=("alpha_rad",))
-    assert with_estimator_noise(setup, {"alpha_rad": 0.007, "p_radps": 0.02}).tolist() == [
+    data = data_of(estimates=("alpha_rad",))
+    assert with_estimator_noise(data, {"alpha_rad": 0.007, "p_radps": 0.02}).tolist() == [
         0.007,
         0.004,
     ]
     # A channel that shows less than its own noise keeps that, and so does one that was not fitted.
-    assert with_estimator_noise(setup, {"alpha_rad": 0.001, "p_radps": 0.02}).tolist() == [
+    assert with_estimator_noise(data, {"alpha_rad": 0.001, "p_radps": 0.02}).tolist() == [
         0.002,
         0.004,
     ]
     assert (
-        with_estimator_noise(setup, {}).tolist()
-        == with_estimator_noise(setup, {"alpha_rad": np.nan}).tolist()
+        with_estimator_noise(data, {}).tolist()
+        == with_estimator_noise(data, {"alpha_rad": np.nan}).tolist()
         == [0.002, 0.004]
     )
-    assert with_estimator_noise(setup_of(), {"alpha_rad": 0.007}).tolist() == [0.002, 0.004]
+    assert with_estimator_noise(data_of(), {"alpha_rad": 0.007}).tolist() == [0.002, 0.004]
 
 
 def test_noise_is_known_by_samples_and_card():
@@ -60,11 +60,11 @@ def test_noise_is_known_by_samples_and_card():
 
 def test_in_gusts_the_card_speaks_of_sensors_alone(monkeypatch):
     monkeypatch.setattr(
-        "uqharness.identification.linearised.flight_data.replace", lambda setup, noise: noise
+        "uqharness.identification.linearised.flight_data.replace", lambda data, noise: noise
     )
     card = SimpleNamespace(
         sensors=SimpleNamespace(noise_std={"alpha_rad": 0.0017, "p_radps": 0.0035})
     )
     aircraft = SimpleNamespace(card=card)
-    assert with_card_noise(aircraft, setup_of(estimates=("alpha_rad",))).tolist() == [0.002, 0.0035]
-    assert with_card_noise(aircraft, setup_of()).tolist() == [0.0017, 0.0035]
+    assert with_card_noise(aircraft, data_of(estimates=("alpha_rad",))).tolist() == [0.002, 0.0035]
+    assert with_card_noise(aircraft, data_of()).tolist() == [0.0017, 0.0035]

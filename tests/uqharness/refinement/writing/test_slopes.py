@@ -161,18 +161,18 @@ def test_stall_is_a_share_of_the_lift_slope_beside_it(nominal: Probe):
 def test_columns_of_what_flies_are_those_of_the_numbers_written(nominal: Probe):
     by_term = {e.term: e for e in subsystem_effects([], [], [])}
     slopes = {"CZ_alpha": -3.0, "Cm_de": -0.02, "CX_de": 9.0, "Cn_dr": -0.001}
-    setup = SimpleNamespace(
+    data = SimpleNamespace(
         segments=[SimpleNamespace(dt_s=0.02, flight="f")], slopes=slopes, outputs=()
     )
     trajectory = SimpleNamespace(outputs=[np.zeros((N, 0))], point=ModelState({}, {}, ()))
     moved = replace(nominal, controls=nominal.controls + 2.0)
     moved.reference.x[:, 1] = 0.25
     expected = [by_term["separation"], by_term["slipstream"]]
-    (columns,) = effect_columns(setup, [moved], trajectory, expected)  # type: ignore[arg-type]
+    (columns,) = effect_columns(data, [moved], trajectory, expected)  # type: ignore[arg-type]
     _, stall = columns.inputs[expected[0].key]
     _, stream = columns.inputs[expected[1].key]
-    setup.slopes = {**slopes, "CZ_alpha": -1.5}
-    (half,) = effect_columns(setup, [moved], trajectory, expected[:1])  # type: ignore[arg-type]
+    data.slopes = {**slopes, "CZ_alpha": -1.5}
+    (half,) = effect_columns(data, [moved], trajectory, expected[:1])  # type: ignore[arg-type]
     assert np.abs(stall[:, 2]).min() > 0.1
     np.testing.assert_allclose(half.inputs[expected[0].key][1], 0.5 * stall)
     CT = moved.variables()["CT"]
