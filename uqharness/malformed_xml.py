@@ -41,6 +41,9 @@ def malformed_xml(raw: bytes, where: str) -> BadInputError:
         elif text == "no element found" and opened:
             tag, start = opened[-1]
             text = f"the file ends before <{tag}> (line {start}) does; write </{tag}>"
+        elif rest[:1] > b"\x7f":
+            text = f"the byte 0x{rest[0]:X} is no UTF-8; save the file as UTF-8, or begin it with"
+            text += ' <?xml version="1.0" encoding="ISO-8859-1"?>'
         elif re.search(rb"&(?![\w#]+;)", line):
             text += "; write &amp; for &"
         elif re.search(rb"<(?![\w/!?])", line):
@@ -51,5 +54,5 @@ def malformed_xml(raw: bytes, where: str) -> BadInputError:
             text += "; a comment must not contain --"
         return BadInputError(f"{where}:{error.lineno}: not well-formed XML: {text}")
     except (ValueError, LookupError) as error:  # an encoding that Python does not know
-        return BadInputError(f"{where}:1: not readable as XML: {error}")
+        return BadInputError(f'{where}:1: not readable as XML: {error}; write encoding="UTF-8"')
     return BadInputError(f"{where}:1: not well-formed XML")

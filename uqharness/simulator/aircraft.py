@@ -999,9 +999,9 @@ def _errors_of_refused(aircraft: Aircraft) -> list[str]:
 
 @lru_cache(maxsize=1)
 def _common_properties() -> frozenset[str]:
-    """Return the properties that JSBSim has whatever the model is, from its simplest one."""
-    ball = find_aircraft("ball")
-    return frozenset(engine.catalog(engine.open_fdm(staged(ball), ball.dt_s)))
+    """Return the properties that JSBSim has whatever the model is, from a bomb without engines."""
+    bomb = find_aircraft("mk82")
+    return frozenset(engine.catalog(engine.open_fdm(staged(bomb), bomb.dt_s)))
 
 
 def _misspelt(aircraft: Aircraft, rows: Iterable[HostProperty]) -> list[str]:

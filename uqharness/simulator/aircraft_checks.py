@@ -14,6 +14,7 @@ import json
 import logging
 import math
 import re
+import statistics
 import sys
 from collections.abc import Collection, Iterator
 from dataclasses import astuple, dataclass
@@ -704,6 +705,9 @@ def _block(block: Any, axes: int) -> Iterator[tuple[int, str]]:
     widths = [len(row) for _, row in lines]
     two = len(widths) > 1 and all(width == widths[0] + 1 for width in widths[1:])
     one = all(width == 2 for width in widths)
+    # Tables of engines and propellers name no axis; most of their rows tell.
+    if not axes and len(widths) > 1:
+        axes = 2 if statistics.mode(widths[1:]) == widths[0] + 1 else 1
     # The number of declared axes must fit the shape of the data.
     if axes == 2 and not two and one:
         yield (

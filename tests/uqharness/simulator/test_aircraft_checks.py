@@ -261,6 +261,13 @@ CASES = {
     "axes": (table(COLUMN, "0 1\n0.1 2\n0.2 3"), r'remove the axis with lookup="column"'),
     "third axis": (table(COLUMN + THIRD, "0 1\n0.1 2 3\n0.2 4 5"), "no breakPoint"),
     "row": (table("", "0 1\n0.1 2 7\n0.2 3"), r"has 3 numbers; 2 are needed"),
+    "no axis": (
+        (
+            "<aerodynamics>",
+            "<aerodynamics><function><t><tableData>\n 0 1\n0 1 2\n1 2\n2 1 2\n</tableData></t></function>",
+        ),
+        "has 2 numbers; 3 are needed",
+    ),
     "joined": (table("", "0 1 0.1 2 0.2 3"), r"has 6 numbers; 2 are needed; begin a line after"),
     "order": (table("", "0 1\n0.3 2\n0.2 3"), r"the row of 0\.2 follows that of 0\.3"),
     "entry": (table("", "0 1\n0.3 2.0.1"), r"'2\.0\.1' in <tableData> is no number"),
@@ -351,6 +358,18 @@ def test_malformed_xml_is_told_with_its_mend(old, new, message):
 </fdm>"""
     assert old in text
     error = malformed_xml(text.replace(old, new).encode(), "x.xml")
+    assert re.search(message, str(error)), error
+
+
+@pytest.mark.parametrize(
+    ("head", "message"),
+    [
+        (b"", "x.xml:2: .* 0xFC is no UTF-8; save the file as UTF-8, or begin it with .*8859-1"),
+        (b'<?xml version="1.0" encoding="UTF-88"?>', 'x.xml:1: .*UTF-88; write encoding="UTF-8"'),
+    ],
+)
+def test_an_encoding_is_named_with_its_mend(head, message):
+    error = malformed_xml(head + b"\n<author>M\xfcller</author>", "x.xml")
     assert re.search(message, str(error)), error
 
 
