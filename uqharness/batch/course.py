@@ -392,30 +392,44 @@ def bring_to_rest(
     held = [f"#{name}" for part in WEIGHTS_PARTS for name in state_slots(part)]
     held += ["#earth/angle", *rester.fuel]
     program = rester.flyer.program
-    is_moving = np.ones(count, dtype=bool)
-    smallest, blocks_without_gain = np.full(count, np.inf), np.zeros(count, dtype=int)
-    for _ in range(forced_state.MAX_BLOCKS):
+
+    def change_over_block(watched: Sequence[str], is_moving: NDArray[np.bool_]) -> FloatArray:
+        """Fly a block of frames where ``is_moving`` and return the largest relative change."""
         before = dict(values)
         state = initial_state(
             program, count, {name: v for name, v in values.items() if name in program.slots}
         )
         rester.flyer.fly(state, 1, forced_state.BLOCK_FRAMES)
-        values |= {name: slot(program, state, name, count) for name in program.slots}
-        values |= {name: before[name] for name in held if name in before}
+        values.update({name: slot(program, state, name, count) for name in program.slots})
+        values.update({name: before[name] for name in held if name in before})
         run_ic()
         change = np.zeros(count)
-        for name in rester.watched:
+        for name in watched:
             step = np.abs(values[name] - before[name]) / np.maximum(np.abs(values[name]), 1.0)
             change = np.maximum(change, step)
         # A lane does not depend on the others.
-        values |= {name: np.where(is_moving, values[name], value) for name, value in before.items()}
+        values.update(
+            {name: np.where(is_moving, values[name], value) for name, value in before.items()}
+        )
+        return change
+
+    is_moving = np.ones(count, dtype=bool)
+    smallest, blocks_without_gain = np.full(count, np.inf), np.zeros(count, dtype=int)
+    for _ in range(forced_state.MAX_BLOCKS):
+        change = change_over_block(rester.watched, is_moving)
         has_gained = change < 0.5 * smallest
         smallest = np.where(has_gained, change, smallest)
         blocks_without_gain = np.where(has_gained, 0, blocks_without_gain + 1)
         is_moving &= change > forced_state.CONVERGED
         is_moving &= blocks_without_gain < forced_state.PATIENCE
         if not is_moving.any():
-            return
+            break
+    # As `simulator.forced_state.settle_fuel_flow`.
+    is_moving = np.ones(count, dtype=bool)
+    for _ in range(forced_state.MAX_BLOCKS if rester.flows else 0):
+        is_moving &= change_over_block(rester.flows, is_moving) > forced_state.CONVERGED
+        if not is_moving.any():
+            break
 
 
 def _turboprops(settlers: Sequence[Settler]) -> list[Turboprop]:

@@ -34,6 +34,7 @@ from uqharness.batch.translate.frame import (
     is_constant,
 )
 from uqharness.batch.translate.tanks import DRY, MASS
+from uqharness.batch.translate.turbine import Turbine
 from uqharness.errors import BadInputError
 from uqharness.flight import (
     ContactPoint,
@@ -201,7 +202,11 @@ class LaneMission:
         contents = [f"{tank.name}contents-lbs" for tank in propulsion.tanks]
         used = [f"{engine.name}fuel-used-lbs" for engine in propulsion.engines]
         fuel = [name for name in (*contents, *used) if name in resting.slots]
-        return Rester(compile_program(resting, choose_target()), tuple(watched), tuple(fuel))
+        turbines = [e.motor for e in propulsion.engines if isinstance(e.motor, Turbine)]
+        flows = [f"#{motor.key}/pph" for motor in turbines]
+        return Rester(
+            compile_program(resting, choose_target()), tuple(watched), tuple(fuel), tuple(flows)
+        )
 
     @cached_property
     def starts(self) -> LRUCache[Any, Any]:
@@ -235,11 +240,14 @@ class Rester:
         Slots that must come to rest.
     fuel : tuple of str
         Slots of the tanks' contents and of the fuel used, which stay.
+    flows : tuple of str
+        Slots of the turbines' fuel flow [lbs/h].
     """
 
     flyer: Flyer
     watched: tuple[str, ...]
     fuel: tuple[str, ...]
+    flows: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)

@@ -55,6 +55,7 @@ from uqharness.simulator import (
     marked_equilibrium,
     parse_xml,
     refuse_conflicts,
+    settle_fuel_flow,
 )
 
 # Scores of a flight along a commanded path: medians, means, maxima, excursions, loss of
@@ -666,6 +667,7 @@ def record_mission(
         equilibrium := marked_equilibrium(mission.script.run_properties, mission.aircraft, fdm)
     ) is not None:
         bring_to_rest(fdm, equilibrium)
+        settle_fuel_flow(fdm, equilibrium)
     present = {name: source for name, source in (optional or {}).items() if _exists(fdm, source)}
     table = {"time_s": Source("simulation/sim-time-sec"), **signals, **present}
     try:

@@ -46,6 +46,7 @@ from .forced_state import body_velocity as body_velocity
 from .forced_state import bring_to_rest as bring_to_rest
 from .forced_state import marked_equilibrium as marked_equilibrium
 from .forced_state import set_command as set_command
+from .forced_state import settle_fuel_flow as settle_fuel_flow
 from .host import HOST_SYSTEM as HOST_SYSTEM
 from .host import HostProperty as HostProperty
 from .host import host_system_xml as host_system_xml

@@ -173,6 +173,24 @@ def bring_to_rest(fdm: Any, equilibrium: ControlEquilibrium) -> str:
         raise BadInputError(engine.explain(fdm, error)) from None
 
 
+def settle_fuel_flow(fdm: Any, equilibrium: ControlEquilibrium) -> None:
+    """Run frames with frozen motion until turbines draw fuel steadily.
+
+    Their flow follows the thrust at 1000 lb/h per second, long after the controls are at rest.
+    """
+    exists = fdm.get_property_manager().hasNode
+    flows = [
+        engine.handle(fdm, f"propulsion/engine[{k}]/fuel-flow-rate-pps").get_double_value
+        for k in range(fdm.get_propulsion().get_num_engines())
+        if exists(f"propulsion/engine[{k}]/n2")
+    ]
+    for _ in range(MAX_BLOCKS if flows else 0):
+        before = [get() for get in flows]
+        run_frozen(fdm, BLOCK_FRAMES, equilibrium.free)
+        if all(abs(get() - old) <= CONVERGED for get, old in zip(flows, before, strict=True)):
+            return
+
+
 def still_moving(fdm: Any, equilibrium: ControlEquilibrium, names: Sequence[str]) -> set[str]:
     """Bring the control system to rest and return those of ``names`` that keep changing."""
     if not bring_to_rest(fdm, equilibrium):

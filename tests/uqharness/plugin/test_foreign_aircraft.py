@@ -5,8 +5,10 @@ from __future__ import annotations
 import json
 import math
 import re
+import shutil
 import subprocess
 import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -306,6 +308,34 @@ def test_engines_that_long_steps_stop_start_settled_in_the_batch_engine(style, t
     theirs, (ours,) = fly(spec), fly_many([spec])
     assert ours.status == theirs.status == "ok"
     assert "alpha_rad" in theirs.signals
+    for name, signal in theirs.signals.items():
+        error = np.max(np.abs(signal - ours.signals[name]))
+        assert error <= 1e-7 * max(np.max(np.abs(signal)), 1e-3), (name, error)
+
+
+def test_turbines_start_with_steady_fuel_flow_in_both_engines(copies, tmp_path):
+    # Levers that move slowly bring the control system to rest; the author adds an oil gauge.
+    slow = """<pure_gain name="slow/degrees-{0}"><input>fcs/throttle-cmd-norm[{0}]</input>
+    <gain>120</gain></pure_gain>
+    <kinematic name="slow/lever-{0}"><input>slow/degrees-{0}</input><noscale/><traverse>
+    <setting><position>0</position><time>0</time></setting>
+    <setting><position>120</position><time>0.5</time></setting></traverse></kinematic>
+    <pure_gain name="slow/norm-{0}"><input>slow/lever-{0}</input><gain>0.008333333333333333</gain>
+    <output>fcs/throttle-pos-norm[{0}]</output></pure_gain>
+    <pure_gain name="propulsion/engine[{0}]/oil-pressure-psi"><input>propulsion/engine[{0}]/n2</input>
+    <gain>0.5</gain></pure_gain>"""
+    folder = Path(shutil.copytree(copies("jet").folder, tmp_path / "jet"))
+    file = folder / "Systems" / "hydraulics.xml"
+    channel = f'<channel name="slow">{slow.format(0)}{slow.format(1)}</channel>'
+    file.write_text(file.read_text().replace("</system>", f"{channel}</system>"))
+    engines = folder / "Engines" / "turbofan.xml"
+    engines.write_text(re.sub("<tsfc>.*?</tsfc>", "<tsfc>9</tsfc>", engines.read_text()))
+    script = tmp_path / "steady.xml"
+    start = StartSection(V_mps=gallery.SPEEDS_MPS["jet"], altitude_m=200.0)
+    write_steady_start(find_aircraft(folder), start, script, "test")
+    spec = FlightSpec(folder, script, 1.0, wind_mps=3.0, record_rate_hz=50.0)
+    theirs, (ours,) = fly(spec), fly_many([spec])
+    assert ours.status == theirs.status == "ok"
     for name, signal in theirs.signals.items():
         error = np.max(np.abs(signal - ours.signals[name]))
         assert error <= 1e-7 * max(np.max(np.abs(signal)), 1e-3), (name, error)

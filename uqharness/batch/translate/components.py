@@ -211,7 +211,7 @@ class Component:
 
     def write(self, node: Node, name: str, value: Value) -> None:
         """Write a property; refuse it if JSBSim would not take it."""
-        if read_only(name):
+        if read_only(name) and name not in self.frame.authored:
             self.scope.refuse(
                 node,
                 f"property {name} cannot be written by <{self.node.tag}>: JSBSim takes no value"

@@ -33,6 +33,7 @@ from uqharness.batch.translate.frame import (
     canonical,
     command_hook,
     error_scope,
+    gauges_of_other_engines,
     integer_hook,
     truth_hook,
 )
@@ -335,6 +336,11 @@ class Propulsion:
     engines: tuple[Engine, ...]
     tanks: tuple[Tank, ...]
     masses: tuple[PointMass, ...] = ()
+
+    @property
+    def authored(self) -> frozenset[str]:
+        """Return the instruments that these engines lack, so that an author may compute them."""
+        return gauges_of_other_engines(engine.part[1].tag for engine in self.engines)
 
     @property
     def changes_mass(self) -> bool:

@@ -353,6 +353,7 @@ def _trace(frame: Frame, models: FrameModels, phase: int) -> None:
     """
     sources, propulsion, request = models.sources, models.propulsion, models.request
     frame.hooks.update(_HOOKS)
+    frame.authored = propulsion.authored
     for name in INTEGRATORS.values():
         frame.hooks[name] = _integrator_hook(name, float(frame.values[name]))
     frame.live["simulation/dt"] = lambda: frame.step

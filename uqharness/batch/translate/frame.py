@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Callable, Collection, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
@@ -358,6 +358,8 @@ class Frame:
     ) -> None:
         """Start without sections."""
         self.left_out = left_out
+        # Properties of the author's that JSBSim computes for engines of another kind.
+        self.authored: Collection[str] = ()
         self.reads: set[str] = set()
         self.requested = requested
         self.dt_s, self.any_step = dt_s, any_step
@@ -817,6 +819,30 @@ _NO_VALUE = re.compile(
     r"fcs/mag-.*-pos-rad|.*/(saturated|initial-integrator-value|randomseed"
     r"|malfunction/fail_(zero|hardover|stuck|low|high))"
 )
+
+
+# Instruments that engines of one kind have in JSBSim; those of other kinds are the author's.
+_GAUGES = {
+    "piston_engine": ("AFR", "cht-degF", "egt-degF", "oil-pressure-psi", "oil-temperature-degF"),
+    "turboprop_engine": ("itt-c",),
+}
+
+
+def gauges_of_other_engines(kinds: Iterable[str]) -> frozenset[str]:
+    """Return the instruments that the engines of a model, given by their kinds, do not have.
+
+    Examples
+    --------
+    >>> sorted(gauges_of_other_engines(["piston_engine"]))
+    ['propulsion/engine/itt-c']
+    """
+    return frozenset(
+        canonical(f"propulsion/engine[{k}]/{gauge}")
+        for k, kind in enumerate(kinds)
+        for other, gauges in _GAUGES.items()
+        for gauge in gauges
+        if other != kind
+    )
 
 
 def read_only(name: str) -> bool:
