@@ -104,7 +104,9 @@ def filter_data(
     late = delayed(flights, data.outputs, request.delays)
     timed = tuple(f for f, names in late.items() if CONTROL_DELAY in names)
     sensors = {f: [n for n in names if n != CONTROL_DELAY] for f, names in late.items()}
-    data = replace(data, timed=timed, late={f: names for f, names in sensors.items() if names})
+    data = replace(
+        data, timed=timed, delayed_sensors={f: names for f, names in sensors.items() if names}
+    )
     data = with_card_noise(
         aircraft, replace(data, biased=tuple(b for b in request.biases if b in data.outputs))
     )

@@ -305,7 +305,7 @@ def fit_baseline(
     fit, effects, estimator = chosen.model.fit, chosen.effects, chosen.estimator
     data = with_servo_limits(chosen.model.data, fit, estimator)
     # A common delay of the controls competes, unless it was corrected before.
-    competes = len(shifts) < MAX_CORRECTIONS and not data.late
+    competes = len(shifts) < MAX_CORRECTIONS and not data.delayed_sensors
     scored = [*effects, CONTROLS_LATE] if competes else effects
     columns = effect_columns(data, fit.probes, fit.trajectory, scored)
     information = estimator.information(data, fit, columns, effects)

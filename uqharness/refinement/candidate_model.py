@@ -229,7 +229,9 @@ class ModelFitter(Protocol):
         aircraft.
         """
 
-    def polish(self, context: SearchContext, model: CandidateModel, label: str) -> CandidateModel:
+    def final_fit(
+        self, context: SearchContext, model: CandidateModel, label: str
+    ) -> CandidateModel:
         """Estimate the model once more by the objective of `identify`."""
 
 
@@ -286,7 +288,7 @@ class AircraftFitter:
         """Write, simulate and estimate the proposed effects once."""
         values = clip_to_active_range(proposal, context.data).values
         names = [*context.parameters, *values]
-        staged, data = stage(context, self.aircraft, values, self.folder / label)
+        staged, data = write_candidate(context, self.aircraft, values, self.folder / label)
         try:
             starts = (
                 replace(joint_point(context, reference, list(values)), effects=values),
@@ -298,7 +300,9 @@ class AircraftFitter:
         except np.linalg.LinAlgError:
             return None
 
-    def polish(self, context: SearchContext, model: CandidateModel, label: str) -> CandidateModel:
+    def final_fit(
+        self, context: SearchContext, model: CandidateModel, label: str
+    ) -> CandidateModel:
         """Estimate once more by output error on replays.
 
         The model stays as it is in turbulence, and where that fit does not converge or is worse.
@@ -307,7 +311,7 @@ class AircraftFitter:
         if not model.estimator.uses_replays or not model.values:
             return model
         values = {**model.values, **model.read_once}
-        staged, data = stage(context, self.aircraft, values, self.folder / label)
+        staged, data = write_candidate(context, self.aircraft, values, self.folder / label)
         data = replace(data, noise=model.data.noise)
         point = model.fit.trajectory.point
         if moves_sensors(data, point):
@@ -332,9 +336,9 @@ class AircraftFitter:
                 self.pool,
                 model.fit.analytic,
             )
-        polished = assess(context, ModelFit(data, fit, trajectory.cost, None), values)
+        final = assess(context, ModelFit(data, fit, trajectory.cost, None), values)
         estimates = {key: trajectory.point.effects[key] for key in carried_effects(data)}
-        return replace(polished, selection=with_values(polished.selection, estimates))
+        return replace(final, selection=with_values(final.selection, estimates))
 
 
 def secant_step(last: tuple[float, float] | None, current: tuple[float, float]) -> float:
@@ -459,14 +463,14 @@ def with_local_rate_limits(selection: Selection, model: CandidateModel) -> Selec
 # Copies of the aircraft.
 
 
-def stage(
+def write_candidate(
     context: SearchContext, aircraft: Aircraft, values: Mapping[str, float], folder: Path
 ) -> tuple[Aircraft, FlightData]:
     """Write a copy of the aircraft with effects of such values, and return it with its flight
     data.
     """
     slopes, effects = control_slopes(context.baseline_fit), [context.effects[k] for k in values]
-    staged = write_staged(
+    staged = write_at_zero(
         aircraft, [EffectToWrite(e, values[e.key], "", slopes) for e in effects], folder
     )
     carriers = {e.key: place for e in effects if (place := carrier(e, aircraft)) is not None}
@@ -477,7 +481,7 @@ def stage(
     )
 
 
-def write_staged(aircraft: Aircraft, effects: Sequence[EffectToWrite], folder: Path) -> Aircraft:
+def write_at_zero(aircraft: Aircraft, effects: Sequence[EffectToWrite], folder: Path) -> Aircraft:
     """Write a copy of the aircraft in which effects with a property are zero.
 
     The properties are set in flight: the same effects give the same file, which is compiled once.

@@ -57,7 +57,7 @@ def candidate_effects(
     already.
     """
     # Delays of an autopilot's sensors are nuisances there, no candidates.
-    delayed = data.outputs if not data.late else ()
+    delayed = data.outputs if not data.delayed_sensors else ()
     sensors = list(dict.fromkeys(SENSOR_OF.get(c, c) for c in delayed))
     channels = [c for c in delayed if c in SENSOR_OF]
     subsystems = subsystem_effects(list(data.servos), data.outputs, sensors, channels)
@@ -173,7 +173,7 @@ def _is_resolved(effect: Effect, value: float, data: FlightData) -> bool:
         return True
     travel = largest_step(data, effect) if effect.unit == "s/deg" else 1.0
     # A log does not say when within a row a command changed.
-    shortest_rows = tuned.UNRESOLVED_ROWS if data.late else SHORTEST_ROWS
+    shortest_rows = tuned.UNRESOLVED_ROWS if data.delayed_sensors else SHORTEST_ROWS
     return abs(value) * travel > shortest_rows * data.segments[0].dt_s
 
 
@@ -244,7 +244,7 @@ def with_servo_limits(data: FlightData, fit: Linearisation, estimator: Estimator
         rate = limit_of_unit_gain(speeds[side], gain[side], result.t[side])
         if rate is not None:
             limits[surface] = (servo.rate, rate)
-    return replace(data, limits=limits, zones=zones)
+    return replace(data, trial_rate_limits=limits, trial_dead_zones=zones)
 
 
 def _trial_rates(data: FlightData, surface: str, servo: Actuator) -> list[float]:

@@ -132,7 +132,7 @@ def _remaining(chosen: SearchResult, hold_out: HoldOutResult, controls: Sequence
         c for c in hold_out.withdrawn if abs(c.t) > chosen.critical_t + tuned.SIGNIFICANT_Z
     ]
     reported = {c.key for c in (*contradicted, *chosen.unclear, *chosen.selection.chosen)}
-    candidates = [(key, t) for key, t in chosen.remaining if key not in reported]
+    candidates = [(key, t) for key, t in chosen.strong_candidates if key not in reported]
     contradicts = bool(contradicted) and not result.selection.chosen
     unexplained = any((excess, strong, contradicts, candidates, mismatch is not None))
     # Moments that only noise explains are air: a missing effect has a score, a curve or residuals.

@@ -125,7 +125,7 @@ def find_effects(
     outcome = EffectSearch(context, fitter, callback).run(baseline.information)
     if outcome.model.keys:
         callback("estimating all parameters by output error")
-        outcome = replace(outcome, model=fitter.polish(context, outcome.model, "settled"))
+        outcome = replace(outcome, model=fitter.final_fit(context, outcome.model, "settled"))
     result = replace(_result_of(context, baseline, outcome), late_s=sum(shifts))
     notes = [*baseline.notes, *note_unestimated([*aircraft.card.parameters], context.parameters)]
     if shifts:
@@ -442,7 +442,7 @@ def _result_of(context: SearchContext, baseline: Baseline, outcome: SearchOutcom
         scoreboard=score_table(
             baseline.information, context.free, [e for e in all_effects if e.key in scored]
         ),
-        remaining=strong_candidates(
+        strong_candidates=strong_candidates(
             model.information, context.free, [*selection.values], candidates
         ),
     )

@@ -185,7 +185,7 @@ class Estimator(ABC):
 
         In calm air only an autopilot's estimates are coloured.
         """
-        return bool(data.late)
+        return bool(data.delayed_sensors)
 
     def report_unconfirmed(self, t: float, critical_t: float) -> tuple[bool, bool]:
         """Return whether a candidate that no simulation confirmed is reported at this |t|, and

@@ -110,7 +110,7 @@ def with_replays(
     data = dataset.data
     with stage_models(aircraft, data) as models:
         noise = output_noise(aircraft, data.measured, data.outputs)
-        timed = tuple(f.name for f in data.flights if f.name not in data.late)
+        timed = tuple(f.name for f in data.flights if f.name not in data.delayed_sensors)
         data = replace(with_sensors_of(data, aircraft), jumping=(), timed=timed, noise=noise)
         replays = ReplayEstimator().residuals(models, data, point, noise, pool)
     return replace(evaluation, replays=replays)

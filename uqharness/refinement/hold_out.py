@@ -579,7 +579,9 @@ def point_as_written(
 
 def without_effects(result: SearchResult) -> SearchResult:
     """Return the result without effects, with the parameters that were estimated without them."""
-    parameters = {n: (result.plain[n], result.parameters[n][1]) for n in result.names}
+    parameters = {
+        n: (result.values_without_effects[n], result.parameters[n][1]) for n in result.names
+    }
     return replace(result, parameters=parameters, selection=replace(result.selection, chosen=()))
 
 

@@ -32,7 +32,7 @@ from uqharness.identification.linearised import (
 from uqharness.parallel import SHORT_COMMAND_S, worker_map
 from uqharness.plugin import bake_scales
 from uqharness.refinement.baseline import shifted_flights
-from uqharness.refinement.candidate_model import write_copy, write_staged
+from uqharness.refinement.candidate_model import write_at_zero, write_copy
 from uqharness.refinement.document import document_of, refinement_view
 from uqharness.refinement.effect_search import find_effects
 from uqharness.refinement.estimators import Dataset
@@ -410,7 +410,7 @@ def _with_all_effects(job: Job, chosen: SearchResult, folder: Path) -> Aircraft:
         EffectToWrite(chosen.effects[c.key], c.value, "", chosen.slopes)
         for c in chosen.selection.chosen
     ]
-    return write_staged(job.aircraft, effects, folder)
+    return write_at_zero(job.aircraft, effects, folder)
 
 
 def _smooth_term(

@@ -65,7 +65,7 @@ class SearchResult:
         All candidates by key.
     parameters : mapping
         Property to its value and standard error for coloured residuals.
-    plain : mapping
+    values_without_effects : mapping
         Property to its value without effects.
     turbulence : TurbulenceModel or None
         The air; None if calm.
@@ -83,7 +83,7 @@ class SearchResult:
         Effects that are too weak to be named beside unexplained residuals.
     mismatch : FormMismatch or None
         A curve that selected effects should have.
-    remaining : tuple
+    strong_candidates : tuple
         (key, t) of other candidates with |t| above CERTAIN_T, the strongest first.
     """
 
@@ -95,7 +95,7 @@ class SearchResult:
     effects: Mapping[str, Effect]
     parameters: Mapping[str, tuple[float, float]]
     notes: tuple[str, ...]
-    plain: Mapping[str, float] = field(default_factory=dict)
+    values_without_effects: Mapping[str, float] = field(default_factory=dict)
     turbulence: TurbulenceModel | None = None
     scoreboard: tuple[tuple[str, float], ...] = ()
     critical_t: float = float("nan")
@@ -105,7 +105,7 @@ class SearchResult:
     flown_values: Mapping[str, float] = field(default_factory=dict)
     unclear: tuple[SelectedEffect, ...] = ()
     mismatch: FormMismatch | None = None
-    remaining: tuple[tuple[str, float], ...] = ()
+    strong_candidates: tuple[tuple[str, float], ...] = ()
 
     @property
     def estimator(self) -> Estimator:

@@ -162,7 +162,9 @@ class LinearFlights:
         information = information.without_values(values)
         return with_selection(context, model, information, keys, values, {})
 
-    def polish(self, context: SearchContext, model: CandidateModel, label: str) -> CandidateModel:
+    def final_fit(
+        self, context: SearchContext, model: CandidateModel, label: str
+    ) -> CandidateModel:
         """The model as it is: it is output error already."""
         return model
 

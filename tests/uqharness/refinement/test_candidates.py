@@ -29,7 +29,9 @@ def at(value: float, late: dict[str, list[str]], servos=None, held=EFFECTS) -> d
     controls = np.zeros((50, 4))
     controls[10:20, 1], controls[20:30, 1] = 10.0, -10.0
     data = SimpleNamespace(
-        segments=[SimpleNamespace(dt_s=DT, controls=controls)], late=late, servos=servos or {}
+        segments=[SimpleNamespace(dt_s=DT, controls=controls)],
+        delayed_sensors=late,
+        servos=servos or {},
     )
     return eligible(EFFECTS, data, (), information)  # type: ignore[arg-type]
 
@@ -88,7 +90,7 @@ def test_a_rate_limit_below_what_rows_resolve_is_no_effect_though_it_was_flown(
     controls = np.array([[0.0, -10.0, 0.0, 50.0], [0.0, 10.0, 0.0, 50.0]])
     data = SimpleNamespace(
         segments=[SimpleNamespace(dt_s=DT, controls=controls)],
-        late=late,
+        delayed_sensors=late,
         servos={"aileron": Actuator(25.0, 240.0)},
     )
     selection = Selection((SelectedEffect(effect.key, value, 1e-6, 17.0, 289.0, 1.0, 0.0),))
@@ -103,7 +105,7 @@ def test_a_time_below_what_rows_resolve_is_no_effect_though_it_was_flown():
     columns = rng.standard_normal((200, 2, 3))
     residual = columns @ np.array([0.4, 1.0, 1.0])
     information = information_of(residual, columns, ["aero/Cm_q", *keys])
-    data = SimpleNamespace(segments=[SimpleNamespace(dt_s=DT)], late={}, servos={})
+    data = SimpleNamespace(segments=[SimpleNamespace(dt_s=DT)], delayed_sensors={}, servos={})
     units = zip(keys, ("s", "1"), strict=True)
     effects = {k: SimpleNamespace(key=k, unit=u, positive=False, penalty=0.0) for k, u in units}
 
@@ -137,7 +139,7 @@ def test_a_time_too_short_to_be_named_stands_beside_the_effect_that_it_may_be(
     )  # -1 ms of it does what 1 of the term does
     residual = columns[:, :, 0] + 0.1 * rng.standard_normal((200, 2))
     information = information_of(residual, columns, [term, delay])
-    data = SimpleNamespace(segments=[SimpleNamespace(dt_s=DT)], late={}, servos={})
+    data = SimpleNamespace(segments=[SimpleNamespace(dt_s=DT)], delayed_sensors={}, servos={})
     effects = [
         SimpleNamespace(
             key=k, unit=u, positive=positive, penalty=0.0, subsystem=of, term=k.rpartition("/")[2]

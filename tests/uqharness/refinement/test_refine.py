@@ -261,7 +261,7 @@ def test_leaving_nothing_out_is_what_was_chosen(judged_flights):
         assert abs(same.parameters[name][0] - value) < 0.1 * std
     none = leave_out(chosen, evidence, [c.key for c in chosen.selection.chosen])
     assert {n: v for n, (v, _) in none.parameters.items()} == {
-        n: chosen.plain[n] for n in chosen.names
+        n: chosen.values_without_effects[n] for n in chosen.names
     }
 
 

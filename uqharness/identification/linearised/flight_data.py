@@ -112,7 +112,7 @@ class FlightData:
         Standard deviations of the outputs' noise.
     biased : tuple of str
         Channels with an estimated bias.
-    late : mapping
+    delayed_sensors : mapping
         Flight to the sensors whose delay is estimated.
     positions : tuple of str
         Surfaces whose positions were recorded.
@@ -124,10 +124,10 @@ class FlightData:
         Effect key to the property through which it acts.
     servos : mapping
         Actuators of the surfaces of which only commands were recorded.
-    limits : mapping
+    trial_rate_limits : mapping
         Surface to the two rate limits [deg/s] whose difference is a slower servo's regressor
         while the model has no such effect.
-    zones : mapping
+    trial_dead_zones : mapping
         Surface to the width [deg] of the dead zone that gives its regressor likewise.
     lower_bounds : mapping
         Effect key to the value of a rate limit's effect below which nothing changes.
@@ -146,14 +146,14 @@ class FlightData:
     measured: tuple[FloatArray, ...]
     noise: FloatArray
     biased: tuple[str, ...]
-    late: Mapping[str, Sequence[str]]
+    delayed_sensors: Mapping[str, Sequence[str]]
     positions: tuple[str, ...] = ()
     ideal: tuple[str, ...] = ()
     active: tuple[Effect, ...] = ()
     carriers: Mapping[str, EffectProperty] = field(default_factory=dict)
     servos: Mapping[str, Actuator] = field(default_factory=dict)
-    limits: Mapping[str, tuple[float, float]] = field(default_factory=dict)
-    zones: Mapping[str, float] = field(default_factory=dict)
+    trial_rate_limits: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    trial_dead_zones: Mapping[str, float] = field(default_factory=dict)
     lower_bounds: Mapping[str, float] = field(default_factory=dict)
     slopes: Mapping[str, float] = field(default_factory=dict)
     timed: tuple[str, ...] = ()
@@ -193,7 +193,10 @@ class FlightData:
             *(control_delay_name(f) for f in self.timed),
             *(jump_share_name(f) for f in self.jumping),
         ]
-        return (*names, *(f"delay/{f}/{s}" for f, sensors in self.late.items() for s in sensors))
+        return (
+            *names,
+            *(f"delay/{f}/{s}" for f, sensors in self.delayed_sensors.items() for s in sensors),
+        )
 
 
 @dataclass(frozen=True)

@@ -713,7 +713,7 @@ def _surface_motion(
     """
     k = CONTROLS.index(surface)
     if e.term == "deadband":
-        width_deg = data.zones.get(surface, _DEADBAND_DEG)
+        width_deg = data.trial_dead_zones.get(surface, _DEADBAND_DEG)
         return dead_zone_change(p.controls[:, k], width_deg, in_model=e.key in point.effects)
     servo, limits = _servo_at(data, surface, point)
     if e.term.endswith(LOCAL_SLOPE):
@@ -762,7 +762,7 @@ def _servo_at(
     """Return a servo with its effects at a point, and the two rate limits whose difference gives
     the slope of its rate limit.
     """
-    servo, limits = data.servos.get(surface), data.limits.get(surface)
+    servo, limits = data.servos.get(surface), data.trial_rate_limits.get(surface)
     if servo is None:
         return None, None
     lag, slowness = (
@@ -919,7 +919,7 @@ def with_jumping_flights(data: FlightData, model: ReplayModel) -> FlightData:
     """Return the data with the flights in which a control jumps, whose share of the jump in
     accelerometer readings is estimated.
     """
-    return replace(data, jumping=tuple(jumping_flights(model, data.segments, data.late)))
+    return replace(data, jumping=tuple(jumping_flights(model, data.segments, data.delayed_sensors)))
 
 
 def path_deviations(

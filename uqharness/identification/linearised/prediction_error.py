@@ -283,7 +283,7 @@ def gust_refit(
         If predictions are not finite.
     """
     data = with_jumping_flights(data, models.model)
-    tune = tune and not data.late
+    tune = tune and not data.delayed_sensors
     at = _Iterate(data, start, turbulence)
     if turbulence is None:
         starts = _starts(data, start, initial)
@@ -612,7 +612,7 @@ def _starts(
     too, and the filter stays near its start.
     """
     starts = [start]
-    if data.late:
+    if data.delayed_sensors:
         in_time = {n: 0.0 if n.startswith("delay/") else v for n, v in start.nuisance.items()}
         starts.append(replace(start, nuisance=in_time))
     values = {n: (initial or {}).get(n, v) for n, v in start.values.items()}

@@ -524,7 +524,7 @@ def one_step_estimates(
 
 def observations_of(data: FlightData, sensed: Mapping[str, float] | None = None) -> Observed:
     """Return the observations of a fit, without the sensors' effects ``sensed`` (values by key)."""
-    late = {**data.late, **dict.fromkeys(data.timed, (CONTROL_DELAY,))}
+    late = {**data.delayed_sensors, **dict.fromkeys(data.timed, (CONTROL_DELAY,))}
     if not sensed:
         return Observed(data.segments, data.outputs, data.measured, data.biased, late)
     point = ModelState({}, {}, (), dict(sensed))

@@ -226,7 +226,9 @@ def test_flights_jump_where_the_models_controls_do():
         assert linearise.with_jumping_flights(data, servos).jumping == ()
         # A sensor that is late says nothing of what a row has seen.
         assert (
-            linearise.with_jumping_flights(replace(data, late={"f": ["gyros"]}), at_once).jumping
+            linearise.with_jumping_flights(
+                replace(data, delayed_sensors={"f": ["gyros"]}), at_once
+            ).jumping
             == ()
         )
 

@@ -67,7 +67,7 @@ def data_of(measured: np.ndarray) -> SimpleNamespace:
         segments=(segment,),
         output_rows=[0, 1, 8],
         servos={},
-        limits={},
+        trial_rate_limits={},
     )
 
 

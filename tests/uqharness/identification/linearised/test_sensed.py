@@ -48,11 +48,13 @@ def test_candidates_hold_each_channel_of_a_sensor_but_none_where_logs_estimate_d
     outputs = ("alpha_rad", *RATES)
     keys = {
         e.key
-        for e in candidate_effects(SimpleNamespace(servos={}, outputs=outputs, late={}), (), ())
+        for e in candidate_effects(
+            SimpleNamespace(servos={}, outputs=outputs, delayed_sensors={}), (), ()
+        )
     }
     assert {f"effect/sensor.{s}/delay" for s in ("alpha_rad", "rates", *RATES)} <= keys
     logged = candidate_effects(
-        SimpleNamespace(servos={}, outputs=outputs, late={"one": ["alpha_rad"]}), (), ()
+        SimpleNamespace(servos={}, outputs=outputs, delayed_sensors={"one": ["alpha_rad"]}), (), ()
     )
     assert not [
         e for e in logged if e.key.endswith("/delay") and (e.subsystem or "").startswith("sensor.")
