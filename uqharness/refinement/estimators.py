@@ -12,6 +12,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -118,9 +119,9 @@ class Estimator(ABC):
     """
 
     turbulence: TurbulenceModel | None = None
-    least_critical_t: float = 0.0
-    uses_replays: bool = True
-    trail_prefix: str = ""
+    least_critical_t: ClassVar[float] = 0.0
+    uses_replays: ClassVar[bool] = True
+    trail_prefix: ClassVar[str] = ""
 
     @property
     def description(self) -> tuple[str, ...]:
@@ -346,9 +347,9 @@ class PredictionErrorEstimator(Estimator):
     """
 
     turbulence: TurbulenceModel
-    least_critical_t: float = tuned.TURBULENCE_CRITICAL_T
-    uses_replays: bool = False
-    trail_prefix: str = "one-step predictions: "
+    least_critical_t: ClassVar[float] = tuned.TURBULENCE_CRITICAL_T
+    uses_replays: ClassVar[bool] = False
+    trail_prefix: ClassVar[str] = "one-step predictions: "
 
     @property
     def description(self) -> tuple[str, ...]:
