@@ -176,20 +176,23 @@ def run_refine(aircraft: str | Path, paths: list[Path], kind: str, out: Path) ->
         right = verdict == "unexplained" or any(coefficient in k for n in sets for k in n)
     else:
         right = is_named
-    truth, z = Airframe().coefficients, []
+    truth, z = Airframe().coefficients, {}
     for name, row in document["parameters"].items():
         if row["std"]:
             # The scales of a stock aircraft's coefficients are 1, its offsets 0.
             default = 1.0 if "/scale/" in name else 0.0
             true_value = truth.get(name.removeprefix("aero/"), default)
-            z.append((row["value"] - true_value) / row["std"])
+            z[name.removeprefix("aero/")] = (row["value"] - true_value) / row["std"]
+    largest = sorted(z, key=lambda name: -abs(z[name]))[:3]
+    errors = " ".join(f"{name} {z[name]:.1f}" for name in largest)
     effects = ", ".join(
         f"{canonical(e)} {e['value']:.3g} t {e['evidence']['t']:.1f}" for e in document["effects"]
     )
     refused = document.get("best_refused") or {}
     return (
         f"{'right' if right else 'WRONG'} {verdict:17} false {false} covered"
-        f" {np.mean(np.abs(z) < COVERED):.2f} {seconds:4.0f} s  {effects or '-'}"
+        f" {np.mean(np.abs([*z.values()]) < COVERED):.2f} ({errors}) {seconds:4.0f} s"
+        f"  {effects or '-'}"
         f"  refused {refused.get('effect')} {refused.get('t') or 0.0:.1f}"
         f"  {[w['words'][:90] for w in document['remaining']['where'][:2]]}"
     )
