@@ -545,6 +545,10 @@ class TurbulenceSearch:
         """Minus twice the log likelihood of some segments before the structure is chosen."""
         return self._descended[1].cost
 
+    def forget(self) -> None:
+        """Free the memory of cached likelihoods."""
+        self._search.likelihoods.clear()
+
     @property
     def gain(self) -> float:
         """Decrease of ``cost`` by the structure."""

@@ -572,6 +572,9 @@ def likeliest_start(
         if np.isfinite(search.cost):
             searches.append((search, _Iterate(data, point, None, predicted=predicted), systems))
     searches.sort(key=lambda trial: trial[0].cost)
+    for search, _, systems in searches[1:]:
+        systems.systems.clear()
+        search.forget()
     best, lowest, gain = None, np.inf, np.inf
     for search, at, systems in searches:
         # From a start this much less likely, the structure of the air would have to gain more
