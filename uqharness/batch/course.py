@@ -386,11 +386,12 @@ def bring_to_rest(
     """Bring every lane's control system to rest; ``values`` is updated.
 
     Blocks of frames with frozen motion, each followed by the initialising frames (``run_ic``), as
-    `simulator.forced_state.bring_to_rest`. Actuators and flaps move at their own rates, which ends
-    at the same place.
+    `simulator.forced_state.bring_to_rest`. Engines spool at their own rates, which ends at the same
+    place.
     """
     held = [f"#{name}" for part in WEIGHTS_PARTS for name in state_slots(part)]
     held += ["#earth/angle", *rester.fuel]
+    held = [name for name in held if name not in rester.rates]
     program = rester.flyer.program
 
     def change_over_block(watched: Sequence[str], is_moving: NDArray[np.bool_]) -> FloatArray:
@@ -416,7 +417,7 @@ def bring_to_rest(
     is_moving = np.ones(count, dtype=bool)
     smallest, blocks_without_gain = np.full(count, np.inf), np.zeros(count, dtype=int)
     for _ in range(forced_state.MAX_BLOCKS):
-        change = change_over_block(rester.watched, is_moving)
+        change = change_over_block((*rester.watched, *rester.rates), is_moving)
         has_gained = change < 0.5 * smallest
         smallest = np.where(has_gained, change, smallest)
         blocks_without_gain = np.where(has_gained, 0, blocks_without_gain + 1)

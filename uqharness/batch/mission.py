@@ -20,6 +20,7 @@ from uqharness.batch.interpret import Interpreter
 from uqharness.batch.llvm import choose_target
 from uqharness.batch.llvm_flight import compile_program
 from uqharness.batch.motion import CONDITIONS, WEIGHTS_PARTS, round_44_bits, slots
+from uqharness.batch.motion import slots as state_slots
 from uqharness.batch.passes import optimise, propagate_constants, specialise_startup
 from uqharness.batch.program import Flyer, Program, Stream
 from uqharness.batch.streams import GUSTS, LEVELS, TRANSIENTS, noise_streams
@@ -204,8 +205,14 @@ class LaneMission:
         fuel = [name for name in (*contents, *used) if name in resting.slots]
         turbines = [e.motor for e in propulsion.engines if isinstance(e.motor, Turbine)]
         flows = [f"#{motor.key}/pph" for motor in turbines]
+        free = RATES_FREE in self.mission.script.run_properties
+        rates = [f"#{name}" for name in state_slots("rates")] if free else []
         return Rester(
-            compile_program(resting, choose_target()), tuple(watched), tuple(fuel), tuple(flows)
+            compile_program(resting, choose_target()),
+            tuple(watched),
+            tuple(fuel),
+            tuple(flows),
+            tuple(rates),
         )
 
     @cached_property
@@ -242,12 +249,15 @@ class Rester:
         Slots of the tanks' contents and of the fuel used, which stay.
     flows : tuple of str
         Slots of the turbines' fuel flow [lbs/h].
+    rates : tuple of str
+        Slots of body rates that the control system brings to rest; empty if they are held.
     """
 
     flyer: Flyer
     watched: tuple[str, ...]
     fuel: tuple[str, ...]
     flows: tuple[str, ...] = ()
+    rates: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -328,7 +338,8 @@ def make_mission(
     # Refuse early what cannot be flown at all.
     sources = read_sources(mission.aircraft, mission.script.path)
     _refuse_running(mission)
-    rest = _rests(mission)
+    free = RATES_FREE in mission.script.run_properties
+    rest = free or RATES_HELD in mission.script.run_properties
     # Mass properties that a lane changes are set per lane later.
     unchanged = replace(
         spec, properties={n: v for n, v in spec.properties.items() if n not in CHANGEABLE}
@@ -368,6 +379,7 @@ def make_mission(
         gusts_by_heading=gusty and not air,
         changes_dry_mass=True,
         rest=rest,
+        rates_free=free,
     )
     flight = trace_flight(sources, mission.aircraft.dt_s, values, request)
     # Everything that differs between lanes must not be folded as a constant.
@@ -390,19 +402,6 @@ def make_mission(
         points,
         steady,
     )
-
-
-def _rests(mission: StagedMission) -> bool:
-    """Return whether frames of JSBSim bring the control system to rest before the flight.
-
-    Raises BadInputError where they are not translated.
-    """
-    if RATES_FREE in mission.script.run_properties:
-        raise BadInputError(
-            f"{mission.script.path}: frames of JSBSim bring the control system to rest before the"
-            ' flight begins, with its body rates free; use engine = "jsbsim"'
-        )
-    return RATES_HELD in mission.script.run_properties
 
 
 def initial_values(open_fdm: Callable[[], Any], fdm: Any = None) -> Callable[[str], float | None]:

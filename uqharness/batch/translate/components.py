@@ -175,6 +175,10 @@ class Component:
             )
         return int(frames)
 
+    def moves(self) -> Value:
+        """Return whether an actuator has a history: not in its first run, nor in trim."""
+        return self.builder.truth(False) if self.frame.trimming else self.has_run()
+
     def limits(self) -> tuple[Value, Value] | None:
         """Return the lower and upper limit of ``<clipto>``; None without one."""
         node = self.node.find("clipto")
@@ -413,6 +417,9 @@ def kinematic(c: Component) -> None:
         x = x * positions[-1]
     b = c.builder
     x = clip(b.constant(positions[0]), x, b.constant(positions[-1]))
+    if c.frame.trimming:
+        c.write_outputs(c.clipped(x))
+        return
     y, time_left = c.frame.get(output_names(c.scope, c.node)[0]), c.step
     moving = b.truth(True)
     # One interval per pass; at most all of them are crossed in a step.
@@ -777,7 +784,7 @@ def actuator(c: Component) -> None:
     value = x
     # Lag
     if c.node.find("lag") is not None:
-        lagged = c.has_run().choose(c.lagged(value, c.parameter("lag")), value)
+        lagged = c.moves().choose(c.lagged(value, c.parameter("lag")), value)
         c.remember("lag-in", value, stuck)
         c.remember("lag-out", lagged, stuck)
         value = lagged
@@ -791,7 +798,7 @@ def actuator(c: Component) -> None:
         value = value.lt(-half).choose(value + half, value.gt(half).choose(value - half, 0.0))
     width = c.number("hysteresis_width", 0.0)
     if width != 0.0:
-        value = c.has_run().choose(
+        value = c.moves().choose(
             _with_hysteresis(value, c.memory("hysteresis-out"), 0.5 * width), value
         )
         c.remember("hysteresis-out", value, stuck)
@@ -833,7 +840,7 @@ def _rate_limited(c: Component, x: Value) -> Value:
     if "decr" in limits:
         lower = -limits["decr"]
         value = step.lt(c.step * lower).choose(before + lower * c.step, value)
-    return c.has_run().choose(value, x)
+    return c.moves().choose(value, x)
 
 
 def _with_hysteresis(x: Value, before: Value, half: float) -> Value:

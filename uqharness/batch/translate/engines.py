@@ -430,7 +430,8 @@ class Propulsion:
         # Without fuel the last flow stays published and nothing is taken.
         burns = b.op("not", starved)
         rate = burns.choose(engine.motor.fuel_rate(frame), frame.get(f"{name}fuel-flow-rate-pps"))
-        spent = burns.choose(rate * frame.step, 0.0)
+        # In trim no fuel is drawn.
+        spent = burns.choose(rate * (0.0 if frame.trimming else frame.step), 0.0)
         frame.store(f"{name}fuel-flow-rate-pps", rate)
         # JSBSim uses the density of the last tank for volumes.
         density = (
@@ -464,7 +465,8 @@ class Propulsion:
         fuel, oxidizer = rocket.flows(frame)
         for title, flow in (("fuel-flow-rate-pps", fuel), ("oxi-flow-rate-pps", oxidizer)):
             frame.store(f"{name}{title}", burns.choose(flow, frame.get(f"{name}{title}")))
-        fuel, oxidizer = fuel * frame.step, oxidizer * frame.step
+        step = 0.0 if frame.trimming else frame.step
+        fuel, oxidizer = fuel * step, oxidizer * step
         rocket.spend(frame, fuel, oxidizer, burns)
         for k, gives in zip(lists[0], fuel_tanks, strict=True):
             self.tanks[k].drain(frame, fuel / fuel_count, b.op("and", burns, gives))

@@ -145,6 +145,8 @@ class TraceRequest:
         engines.
     rest : bool
         The flight starts with the control system at rest.
+    rates_free : bool
+        The control system brings the body rates to rest as well.
     """
 
     inputs: Collection[str]
@@ -157,6 +159,7 @@ class TraceRequest:
     engines_running: bool = False
     renewal: bool = False
     rest: bool = False
+    rates_free: bool = False
 
 
 def trace_flight(sources: Sources, dt_s: float, values: Values, request: TraceRequest) -> Flight:
@@ -284,14 +287,19 @@ def _trace_settling(
 
 
 def _trace_rest(models: FrameModels, flight: Frame, inputs: Collection[str]) -> Program:
-    """Trace the frame of `simulator.forced_state.run_frozen`, whose motion no integrator moves."""
+    """Trace the frame of `simulator.forced_state.run_frozen`, whose motion, but
+    for free rates, no integrator moves.
+    """
     if flight.draws or any(section.when.mask == winds.MASK for section in flight.sections):
         raise BadInputError(
             "frames of JSBSim bring the control system to rest before the flight begins, and draw"
             ' random numbers; use engine = "jsbsim"'
         )
     resting = _similar(flight, flight.dt_s, inputs)
-    _trace(resting, replace(models, methods=dict.fromkeys(models.methods, 0)), _REST)
+    methods = dict.fromkeys(models.methods, 0)
+    if models.request.rates_free:
+        methods["rates"] = models.methods["rates"]
+    _trace(resting, replace(models, methods=methods), _REST)
     return resting.program(())
 
 
@@ -353,7 +361,7 @@ def _trace(frame: Frame, models: FrameModels, phase: int) -> None:
     """
     sources, propulsion, request = models.sources, models.propulsion, models.request
     frame.hooks.update(_HOOKS)
-    frame.authored = propulsion.authored
+    frame.authored, frame.trimming = propulsion.authored, phase == _REST
     for name in INTEGRATORS.values():
         frame.hooks[name] = _integrator_hook(name, float(frame.values[name]))
     frame.live["simulation/dt"] = lambda: frame.step

@@ -358,6 +358,8 @@ class Frame:
     ) -> None:
         """Start without sections."""
         self.left_out = left_out
+        # JSBSim's trim status: actuators and kinematics are at their commands.
+        self.trimming = False
         # Properties of the author's that JSBSim computes for engines of another kind.
         self.authored: Collection[str] = ()
         self.reads: set[str] = set()
