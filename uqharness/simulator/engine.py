@@ -163,11 +163,14 @@ def open_fdm(staging: Staging, dt_s: float) -> Any:
             f"aircraft '{name}': JSBSim refused its XML: {log.take() or _one_line(error)}"
         ) from None
     if not loaded:
-        raise BadInputError(
-            f"aircraft '{name}': JSBSim could not load it: {log.take() or 'no reason given'};"
-            f" expected {name}/{name}.xml with <metrics>, <mass_balance>, <ground_reactions> and"
-            " <aerodynamics>"
+        reason = log.take() or "no reason given"
+        hint = (
+            "correct the XML at the first of these lines"
+            if re.search(r"\.xml:\d+", reason)
+            else f"expected {name}/{name}.xml with <metrics>, <mass_balance>,"
+            " <ground_reactions> and <aerodynamics>"
         )
+        raise BadInputError(f"aircraft '{name}': JSBSim could not load it: {reason}; {hint}")
     return fdm
 
 

@@ -388,6 +388,15 @@ def test_a_misspelt_property_is_named_with_the_other_errors(tmp_path, error):
         open_aircraft(aircraft)
 
 
+def test_what_only_jsbsim_names_has_its_line(tmp_path):
+    # A property whose name begins with a digit.
+    part = '<channel name="t"><pure_gain name="t/0"><input>fcs/elevator-cmd-norm</input>'
+    part += "<gain>1</gain></pure_gain></channel>"
+    aircraft = broken(tmp_path, ("<flight_control[^>]*>", rf"\g<0>{part}"))
+    with pytest.raises(BadInputError, match=r"single\.xml:\d+: .*correct the XML at the first"):
+        open_aircraft(aircraft)
+
+
 def test_what_jsbsim_takes_otherwise_than_the_author_is_remarked(tmp_path, caplog):
     double = '<property value="1">t/p</property><property value="{}">t/p</property>'
     gains = f'<pure_gain name="t/x">{INPUT}<gain>1</gain></pure_gain>' * 2
