@@ -58,9 +58,7 @@ from uqharness.identification.linearised import (
     with_estimator_noise,
     with_jumping_flights,
 )
-from uqharness.refinement.candidate_model import (
-    SearchContext,
-)
+from uqharness.refinement.candidate_model import SearchContext
 from uqharness.refinement.candidates import (
     SHORTEST_ROWS,
     candidate_effects,
@@ -293,13 +291,7 @@ def fit_baseline(
         flights = shifted_flights(recorded.flights, sum(shifts))
         data = make_flight_data(aircraft, flights, recorded.positions, recorded.ideal)
     chosen = _fit_in_likelier_air(
-        aircraft,
-        data,
-        extra,
-        f"{len(shifts) or ''}",
-        pool=pool,
-        callback=callback,
-        stages=stages,
+        aircraft, data, extra, f"{len(shifts) or ''}", pool=pool, callback=callback, stages=stages
     )
     # Linearise about the model of the chosen estimator, with every candidate as a column.
     fit, effects, estimator = chosen.model.fit, chosen.effects, chosen.estimator

@@ -40,11 +40,7 @@ from uqharness.identification.linearised import (
     with_sensors_of,
 )
 from uqharness.plugin import Estimate
-from uqharness.refinement.candidates import (
-    clip_to_active_range,
-    eligible,
-    least_active_value,
-)
+from uqharness.refinement.candidates import clip_to_active_range, eligible, least_active_value
 from uqharness.refinement.estimators import (
     Estimator,
     Limits,

@@ -31,9 +31,7 @@ from uqharness.identification.linearised import (
     effect_columns,
     join_columns,
 )
-from uqharness.refinement.hold_out import (
-    train_information,
-)
+from uqharness.refinement.hold_out import train_information
 from uqharness.refinement.search_result import SearchResult
 
 STATES = ("alpha", "beta", "p_hat", "q_hat", "r_hat", "de", "da", "dr", "CT", "V_rel")

@@ -14,13 +14,7 @@ import numpy as np
 
 from sysid.aerodynamics import COEFFICIENTS
 from sysid.display import rows_table, view
-from sysid.effects import (
-    Alternative,
-    Effect,
-    RejectedCandidate,
-    SelectedEffect,
-    tuned,
-)
+from sysid.effects import Alternative, Effect, RejectedCandidate, SelectedEffect, tuned
 from sysid.estimation import NOISE_FLOOR
 from uqharness.identification.linearised import FlightData
 from uqharness.refinement.candidates import is_fastest

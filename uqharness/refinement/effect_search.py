@@ -39,10 +39,7 @@ from sysid.effects import (
 )
 from sysid.parallel import Processes
 from uqharness.heartbeat import Callback
-from uqharness.identification.linearised import (
-    FlightData,
-    one_step_estimates,
-)
+from uqharness.identification.linearised import FlightData, one_step_estimates
 from uqharness.refinement.baseline import (
     Baseline,
     controls_offset,
@@ -57,10 +54,7 @@ from uqharness.refinement.candidate_model import (
     SearchContext,
     with_local_rate_limits,
 )
-from uqharness.refinement.candidates import (
-    eligible,
-    without_unresolved,
-)
+from uqharness.refinement.candidates import eligible, without_unresolved
 from uqharness.refinement.search_result import SearchResult
 from uqharness.refinement.stages import Stages
 from uqharness.refinement.write_xml import of_lift_slope
@@ -395,16 +389,10 @@ def _result_of(context: SearchContext, baseline: Baseline, outcome: SearchOutcom
     is_linear = not estimator.uses_replays
     if model.keys:
         resolved = without_unresolved(
-            model.selection,
-            all_effects,
-            context.data,
-            model.free,
-            model.information,
+            model.selection, all_effects, context.data, model.free, model.information
         )
         selection = with_time_resolution(
-            with_local_rate_limits(resolved, model),
-            context.effects,
-            model.data.segments[0].dt_s,
+            with_local_rate_limits(resolved, model), context.effects, model.data.segments[0].dt_s
         )
     else:
         refused = _unconfirmed(context, model.reselection) or model.reselection.refused

@@ -378,14 +378,7 @@ class PredictionErrorEstimator(Estimator):
         vanes too slowly biases their scales and rates.
         """
         return gust_refit(
-            models,
-            data,
-            starts[0],
-            names,
-            limits,
-            pool,
-            turbulence=self.turbulence,
-            tune=True,
+            models, data, starts[0], names, limits, pool, turbulence=self.turbulence, tune=True
         )
 
     def linearise(

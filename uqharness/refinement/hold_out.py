@@ -48,12 +48,7 @@ from uqharness.refinement.estimators import (
     fit_output_error,
     moves_sensors,
 )
-from uqharness.refinement.evaluation import (
-    Evaluation,
-    evaluate,
-    excess_residuals,
-    with_replays,
-)
+from uqharness.refinement.evaluation import Evaluation, evaluate, excess_residuals, with_replays
 from uqharness.refinement.search_result import SearchResult
 from uqharness.results.refinement import HoldOutVerdict
 from uqharness.simulator import Aircraft

@@ -22,11 +22,7 @@ from numpy.typing import NDArray
 from sysid.aerodynamics import COEFFICIENTS
 from sysid.arrays import FloatArray
 from sysid.distributions import f_tail, gamma_tail
-from sysid.effects import (
-    Effect,
-    score_tests,
-    tuned,
-)
+from sysid.effects import Effect, score_tests, tuned
 from sysid.estimation import integral_time, rms
 from uqharness.identification.linearised import FlightData, Trajectory
 from uqharness.refinement.candidates import eligible

@@ -56,11 +56,7 @@ from uqharness.refinement.mission import (
     write_forms,
 )
 from uqharness.refinement.search_result import SearchResult, parameter_estimates, remark
-from uqharness.refinement.smooth_terms import (
-    EXPLAINED,
-    SMOOTH_FOLDER,
-    find_smooth_term,
-)
+from uqharness.refinement.smooth_terms import EXPLAINED, SMOOTH_FOLDER, find_smooth_term
 from uqharness.refinement.stages import STAGES_FOLDER, Stages
 from uqharness.refinement.unclear_effects import drop_unclear_effects
 from uqharness.refinement.write_xml import EffectToWrite
@@ -173,8 +169,7 @@ def _refine(job: Job, callback: Callback, forecast: Forecast) -> Refinement:
     stages = Stages(job.out / STAGES_FOLDER, identity)
     # The stages of the test are kept if a mission follows, which takes minutes.
     hold_out_stages = Stages(
-        job.out / STAGES_FOLDER if job.options.pbox else None,
-        [*identity, *test_read.hashes],
+        job.out / STAGES_FOLDER if job.options.pbox else None, [*identity, *test_read.hashes]
     )
     with worker_map(job.options.workers, SHORT_COMMAND_S) as pool, scratch_folder() as scratch:
         write = _writer(job, scratch.path / "models")
@@ -212,13 +207,7 @@ def _refine(job: Job, callback: Callback, forecast: Forecast) -> Refinement:
             "judged",
             HoldOutResult,
             lambda: _hold_out_test(
-                job,
-                chosen,
-                complete,
-                write,
-                train_dataset=train_dataset,
-                test=test,
-                pool=pool,
+                job, chosen, complete, write, train_dataset=train_dataset, test=test, pool=pool
             ),
         )
         # 5. Write the aircraft, and the one without effects beside it.

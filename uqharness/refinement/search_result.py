@@ -7,22 +7,10 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from sysid.effects import (
-    Effect,
-    SelectedEffect,
-    Selection,
-    TurbulenceModel,
-    conditional_interval,
-)
-from uqharness.identification.linearised import (
-    FlightData,
-    Linearisation,
-)
+from sysid.effects import Effect, SelectedEffect, Selection, TurbulenceModel, conditional_interval
+from uqharness.identification.linearised import FlightData, Linearisation
 from uqharness.plugin import Estimate
-from uqharness.refinement.estimators import (
-    Estimator,
-    estimator_for,
-)
+from uqharness.refinement.estimators import Estimator, estimator_for
 
 
 @dataclass(frozen=True)

@@ -16,12 +16,7 @@ import numpy as np
 from sysid.aerodynamics import COEFFICIENTS
 from sysid.arrays import FloatArray
 from sysid.distributions import Z95
-from sysid.effects import (
-    SmoothFit,
-    held_out_gain,
-    named_forms,
-    similar_forms,
-)
+from sysid.effects import SmoothFit, held_out_gain, named_forms, similar_forms
 from sysid.estimation import rms
 from sysid.parallel import Processes
 from uqharness.refinement.curves import STATES, CurveEstimate, CurveFits, Inputs

@@ -11,19 +11,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 
-from sysid.effects import (
-    SelectedEffect,
-    SmoothTerm,
-    smooth_term,
-    tuned,
-)
+from sysid.effects import SelectedEffect, SmoothTerm, smooth_term, tuned
 from sysid.parallel import Processes
 from uqharness.refinement.curves import STATES, CurveFits, can_represent
 from uqharness.refinement.estimators import Dataset
-from uqharness.refinement.evaluation import (
-    evaluate,
-    excess_residuals,
-)
+from uqharness.refinement.evaluation import evaluate, excess_residuals
 from uqharness.refinement.hold_out import (
     leave_out,
     point_as_written,
