@@ -470,8 +470,6 @@ class TurbulenceSearch:
         determine the noise, and a filter with twice the true noise lags, like a servo.
     psi_rad : sequence of float, optional
         Mean heading of each segment.
-    keeps_structure : bool
-        Estimate the intensities alone.
     """
 
     linear: Linear
@@ -486,7 +484,6 @@ class TurbulenceSearch:
     pool: Processes = SERIAL
     kinds: Sequence[str] = ()
     psi_rad: Sequence[float] | None = None
-    keeps_structure: bool = False
 
     @cached_property
     def _prior_factors(self) -> FloatArray:
@@ -525,18 +522,13 @@ class TurbulenceSearch:
         is_first = self.initial is None
         if not is_first and start_cost - optimum.cost <= SIGNIFICANT_Z**2:
             return optimum
-        segments_of_flight = _segments_of(self.flights)
-        chosen = (
-            self._search.by_flight(segments_of_flight, optimum, self.flights)
-            if self.keeps_structure
-            else self._search.choose_air(
-                self._segments,
-                segments_of_flight,
-                optimum,
-                self.flights,
-                self.kinds,
-                is_first=is_first,
-            )
+        chosen = self._search.choose_air(
+            self._segments,
+            _segments_of(self.flights),
+            optimum,
+            self.flights,
+            self.kinds,
+            is_first=is_first,
         )
         return self._search.best(self._segments, [chosen])
 

@@ -138,30 +138,6 @@ def test_intensities_and_what_gusts_do_are_found(rotating, turning):
     np.testing.assert_allclose(np.log(last.values[:4] / result.values[:4]), 0.0, atol=np.log(1.4))
 
 
-def test_intensities_alone_need_the_systems_of_one_structure():
-    """Ten times the air is corrected by the same systems; the structure is not compared."""
-    output, data = draw(GustStates(MASS.b), INTENSITIES)
-    first = found_in(output, data)
-    stronger = {f: 10.0 * values for f, values in first.by_flight.items()}
-    far = replace(first, values=10.0 * first.values, by_flight=stronger)
-    fresh = Made(output.ref)
-    search = TurbulenceSearch(
-        fresh,
-        data,
-        range(len(NOISE)),
-        NOISE,
-        [22.0] * 4,
-        ["a"] * 2 + ["b"] * 2,
-        states=GustStates(MASS.b),
-        initial=far,
-        psi_rad=(0.0,) * 4,
-        keeps_structure=True,
-    )
-    air, _ = search.run()
-    assert {*fresh} == {*first.states}
-    np.testing.assert_allclose(air.values[:4], first.values[:4], rtol=0.3)
-
-
 def test_axes_and_lengths_of_gusts_are_the_likeliest():
     """Rolling air of twice the length, and pitching air of less than half of it, are told from the
     standard's, which stays where it is true.

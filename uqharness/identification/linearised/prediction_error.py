@@ -302,7 +302,6 @@ def gust_refit(
             names,
             pool,
             estimates_air=has_new_air,
-            keeps_structure=at.has_structure,
             tune=tune,
             # Near the estimate, the air moves along with the parameters.
             free_air=is_near and is_prediction and not fixed_air,
@@ -315,10 +314,6 @@ def gust_refit(
             raise np.linalg.LinAlgError("predictions with this model are no numbers")
         if callback is not None:
             callback(number, result.step_length)
-        # Close to the estimate the structure of the air is chosen once, then its intensities alone.
-        has_structure = at.has_structure or (
-            has_new_air and is_prediction and at.length < AIR_SEARCH_LENGTH
-        )
         # The air is up to date if it was estimated about predictions, this close to here.
         is_air_settled = fixed_air or (has_new_air and is_prediction)
         distance = 0.0 if is_air_settled else at.distance_since_air
@@ -333,9 +328,7 @@ def gust_refit(
             if has_new_air or at.step is None
             else step_share(at.share, at.step, step, result.fit.information.total[0])
         )
-        at = replace(
-            _advance(at, result, step, share, distance, limits), has_structure=has_structure
-        )
+        at = _advance(at, result, step, share, distance, limits)
         # Two linearisations at a time would take the most memory of all.
         del result
     raise ValueError(f"iterations={iterations}: at least one is needed")
@@ -362,8 +355,6 @@ class _Iterate:
         Length of the last step in standard errors.
     distance_since_air : float
         Distance from where the air was estimated, in standard errors.
-    has_structure : bool
-        Whether the structure of the air was chosen near the estimate.
     predicted : (Trajectory, list of Probe) or None
         Result of `predict` here, where the choice of the start has it already.
     """
@@ -377,7 +368,6 @@ class _Iterate:
     share: float = 1.0
     length: float = float("inf")
     distance_since_air: float = float("inf")
-    has_structure: bool = False
     predicted: tuple[Trajectory, list[Probe]] | None = None
 
     @property
@@ -394,7 +384,6 @@ def _evaluate(
     pool: Processes,
     *,
     estimates_air: bool,
-    keeps_structure: bool,
     tune: bool,
     free_air: bool,
     keeps_colour: bool,
@@ -411,8 +400,7 @@ def _evaluate(
     # 2. Air and sensor noise.
     turbulence, data = at.turbulence, at.data
     if estimates_air:
-        search = _turbulence_search(at.data, systems, at.turbulence, tune)
-        turbulence, factors = replace(search, keeps_structure=keeps_structure).run()
+        turbulence, factors = _turbulence_search(at.data, systems, at.turbulence, tune).run()
         data = replace(at.data, noise=factors * at.data.noise)
     assert turbulence is not None
     # 3. Innovations.
