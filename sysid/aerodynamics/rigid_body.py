@@ -82,6 +82,9 @@ class Reference:
     by_flow : array (n, 6, 2), optional
         Derivatives of (force, moment) with the kinematic rates of alpha and beta
         [N, N m per rad/s]; None where forces do not depend on them.
+    frame_s : float
+        Step [s] of the simulator, which takes these rates from the accelerations of the frame
+        before.
     """
 
     dt_s: float
@@ -94,6 +97,7 @@ class Reference:
     consistent: bool
     bend: FloatArray | None = None
     by_flow: FloatArray | None = None
+    frame_s: float = 0.0
 
     @property
     def turn(self) -> FloatArray:
@@ -160,6 +164,8 @@ class RigidSlopes:
         rotation (3), the acceleration by turning gusts (3) and the coefficients CX to Cn (6).
     turn : array (n,)
         Heading along the reference less its mean [rad].
+    flow : LateFlow, optional
+        Rates of alpha and beta of a simulator, where forces depend on them.
     """
 
     dt_s: float
@@ -169,6 +175,7 @@ class RigidSlopes:
     end: FloatArray | None
     slopes: FloatArray
     turn: FloatArray
+    flow: LateFlow | None = None
 
     @cached_property
     def _end_turn(self) -> FloatArray:
@@ -190,6 +197,9 @@ class RigidSlopes:
             H[:, 8:], D[:, 8:] = self.slopes[:, 8:, :8], self.slopes[:, 8:, 14:]
         else:
             loops().gust_slopes(states, gusts, self.rate, self.slopes, A, B, H, D)
+        # Gusts with axes of one azimuth are JSBSim's, and so are the rates of alpha and beta then.
+        flow = self.flow if gusts is not None and gusts.in_earth else None
+        to_z = np.eye(size)[None] if flow is None else flow.apply(A, B, H, D)
         phi, (g0, g1) = np.empty((n - 1, size, size)), np.zeros((2, n - 1, size, 6))
         loops().discretise(A, B, self.dt_s, phi, g0, g1)
         # Still air stays still over a step of the model.
@@ -201,6 +211,9 @@ class RigidSlopes:
         # The air states in still air depend on the first eight: differentiate by complex steps.
         moved = self.x[0] + 1e-20j * np.eye(8)
         start = np.ascontiguousarray(with_gust_states(moved, gusts, self.turn[0]).imag.T) / 1e-20
+        start = to_z[0] @ start
+        if flow is not None:
+            defect[:, :8] -= np.einsum("nij,nj->ni", flow.gain[1:], flow.change)
         return Steps(self.dt_s, phi, g0, g1, defect, H, D, self.y_ref.copy(), start)
 
     def _turned_by_mean_gust(self, states: FloatArray, gusts: GustStates) -> FloatArray:
@@ -214,6 +227,37 @@ class RigidSlopes:
         )
         change = np.concatenate([forced, first - second]).T
         return np.asarray(0.5 * self.dt_s * (change[:-1] + change[1:]))
+
+
+@dataclass(frozen=True)
+class LateFlow:
+    """Forces that follow the rates a(x) of alpha and beta one frame h late, as in JSBSim.
+
+    With L the slope of dx/dt with these rates, dx/dt = f(x) + L [a(t - h) - a(t)]. To first order
+    in h, z = x + h L a(x) follows dz/dt = f(x). White gusts in a(x) then enter no rate, so z
+    replaces x as the state.
+
+    Attributes
+    ----------
+    gain : array (n, 8, 2)
+        h L.
+    change : array (n - 1, 2)
+        Change of a along the reference, before the controls jump at the next sample.
+    """
+
+    gain: FloatArray
+    change: FloatArray
+
+    def apply(self, A: FloatArray, B: FloatArray, H: FloatArray, D: FloatArray) -> FloatArray:
+        """Turn a system (n, ...) of x into that of z, in place; return dz/dx (n, x, x)."""
+        by_input = self.gain @ B[:, 1:3]
+        to_z = np.tile(np.eye(A.shape[1]), (len(A), 1, 1))
+        to_z[:, :8] += self.gain @ A[:, 1:3]
+        B -= A[:, :, :8] @ by_input
+        D -= H[:, :, :8] @ by_input
+        to_x = np.linalg.inv(to_z)
+        A[:], H[:] = A @ to_x, H @ to_x
+        return to_z
 
 
 def rigid_slopes(
@@ -239,15 +283,21 @@ def rigid_slopes(
     rate, y_ref = model(x, 0.0)
     slopes = np.empty((len(x), 11, 20))
     loops().rigid_slopes(model.body, model.along, slopes)
+    bend = np.zeros((2, len(x) - 1, 6)) if reference.bend is None else reference.bend
+    flow = None
+    if reference.by_flow is not None and reference.frame_s:
+        flow = LateFlow(
+            reference.frame_s * slopes[:, :8, 14:] @ reference.by_flow,
+            model(x[1:], 1.0, bend[1])[0][:, 1:3] - rate[:-1, 1:3],
+        )
     # Extra coefficients become forces and moments by qbar S (1, b, c, b).
     lengths = np.array([1.0, 1.0, 1.0, mass.b, mass.c, mass.b])
     slopes[:, :, 14:] *= (reference.qbar[:, None] * mass.S * lengths)[:, None, :]
     # A measured reference does not satisfy the equations: its defect is one integration step.
     end = None
     if not reference.consistent:
-        bend = np.zeros((2, len(x) - 1, 6)) if reference.bend is None else reference.bend
         end = _runge_kutta_step(model, x, rate, bend, reference.dt_s)
-    return RigidSlopes(reference.dt_s, x, rate, y_ref, end, slopes, reference.turn)
+    return RigidSlopes(reference.dt_s, x, rate, y_ref, end, slopes, reference.turn, flow)
 
 
 def psi_rates(x: FloatArray) -> FloatArray:

@@ -149,6 +149,38 @@ def test_a_moment_by_alphadot_follows_the_motion_and_not_the_air_that_rotates():
     assert np.abs(rates(mine, MASS, state, gusts=gusts)[:, 4] - expected).min() > 0.05
 
 
+def test_a_moment_by_alphadot_acts_a_frame_late_in_a_simulators_own_turbulence():
+    """dalpha/dt = Z alpha + q and dq/dt = M alpha + L dalpha/dt(t - h) have the roots of
+    lambda (lambda - Z) = M + L lambda exp(-lambda h).
+    """
+    Z, M, L, h, n = -3.0, -40.0, -4.0, 0.01, 2
+    x = np.zeros((n, 8))
+    x[:, 0] = 20.0
+    pitch, slopes, by_flow = MASS.inertia[1, 1], np.zeros((n, 6, 6)), np.zeros((n, 6, 2))
+    slopes[:, 2, 1] = MASS.mass * 20.0 * Z
+    slopes[:, 4, 1], slopes[:, 4, 4], by_flow[:, 4, 0] = pitch * (M + L * Z), pitch * L, pitch * L
+    zero = np.zeros((n, 3))
+    flight_at_rest = Reference(
+        DT, x, zero, zero, slopes, np.ones(n), np.zeros(3), False, by_flow=by_flow, frame_s=h
+    )
+
+    def root(late_s: float) -> complex:
+        value = np.roots([1.0, -Z - L, -M])[0]
+        for _ in range(20):
+            delay = np.exp(-value * late_s)
+            slope = 2.0 * value - Z - L * delay * (1.0 - late_s * value)
+            value -= (value * (value - Z) - M - L * value * delay) / slope
+        return value
+
+    shift = abs(root(h) - root(0.0))
+    assert shift > 0.1
+    for in_earth, late_s in ((False, 0.0), (True, h)):
+        gusts = GustStates(MASS.b, rotating=False, turning_with=False, in_earth=in_earth)
+        phi = rigid_slopes(flight_at_rest, MASS, 0.0).with_gusts(gusts).phi[0, [1, 4]][:, [1, 4]]
+        value = np.log(np.linalg.eigvals(phi).astype(complex))[0] / DT
+        assert min(abs(v - root(late_s)) for v in (value, value.conjugate())) < 0.1 * shift
+
+
 def test_still_air_stays_still_wherever_the_flight_begins():
     equations = OpenEquations(TERMS, (), ("V_mps",), MASS)
     x = flight(80)

@@ -11,6 +11,7 @@ from tests.helpers.batch_flights import (
     START,
     aircraft,
     by_batch,
+    by_jsbsim,
     compared,
     craft,
     refused,
@@ -108,6 +109,35 @@ def test_severities(severity):
 def test_the_winds_azimuth_turns_the_turbulence(wind):
     """A wind without a northern part leaves JSBSim's azimuth as it was."""
     assert worst(differences(inputs=air(wind))) < 5e-10
+
+
+RATES = """<aerodynamics><axis name='Z'><function name='f/z'><product><p>aero/alpha-rad</p><v>-30</v></product>
+</function></axis><axis name='PITCH'><function name='f/m'><product><p>aero/alphadot-rad_sec</p><v>-4</v>
+</product></function></axis><axis name='ROLL'><function name='f/l'><product>
+<p>aero/betadot-rad_sec</p><v>-4</v></product></function></axis></aerodynamics>"""
+
+
+def test_rates_of_alpha_and_beta_in_gusts_are_those_of_the_frame_before():
+    """JSBSim's accelerations without the air's, with velocities relative to the air."""
+    records = [*(f"velocities/{a}-aero-fps" for a in "uvw"), "velocities/q-aero-rad_sec"]
+    records += [f"accelerations/{a}dot-ft_sec2" for a in "uvw"]
+    records += ["aero/alphadot-rad_sec", "aero/betadot-rad_sec"]
+    text = aircraft(RATES)
+    assert worst(compared(text, records, air(), FRAMES, start(), floor=0.01)) < 5e-10
+    changed = text.replace("<v>-4</v>", "<v>-4.00001</v>", 1)
+    gaps = compared(text, records, air(), FRAMES, start(), changed=changed, floor=0.01)
+    assert gaps["aero/alphadot-rad_sec"] > 1e-8
+    with craft(text, start()) as output:
+        fdm = output.open()
+        series = by_jsbsim(fdm, air(), records, FRAMES)
+    u, _, w = (series[f"velocities/{a}-aero-fps"][20:50] for a in "uvw")
+    udot, wdot = (series[f"accelerations/{a}dot-ft_sec2"] for a in "uw")
+    alphadot = series["aero/alphadot-rad_sec"][20:50]
+    late, present = (
+        (u * wdot[rows] - w * udot[rows]) / (u**2 + w**2) for rows in (slice(19, 49), slice(20, 50))
+    )
+    np.testing.assert_allclose(alphadot, late, rtol=1e-12, atol=1e-15)
+    assert np.abs(alphadot - present).max() > 0.01 * np.abs(alphadot).max()
 
 
 def test_terms_a_little_off_are_noticed(monkeypatch):

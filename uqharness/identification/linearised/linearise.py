@@ -44,6 +44,7 @@ from uqharness.replay import (
     CONTROLS,
     JUMPING_CHANNELS,
     SENSOR_OF,
+    SHORT_STEP_S,
     ForcedModel,
     ReplayModel,
     Segment,
@@ -329,6 +330,8 @@ def _make_probe(job: ProbeJob, forced: ForcedModel) -> Probe:
             arm,
             job.consistent,
             by_flow=by_flow,
+            # As in replays of this model, and in flights by `fly --mission`.
+            frame_s=min(job.direct_model.card.aircraft.dt_s, SHORT_STEP_S),
         ),
         mass,
         coefficients,
