@@ -256,7 +256,7 @@ def ecdf(sorted_values: FloatArray, at: FloatArray) -> FloatArray:
 def band_half_width(flights: int, corners: int, confidence: float) -> float:
     """Compute the half-width around empirical distributions that holds for all values and corners.
 
-    Bonferroni over the corners on the exact distribution of Kolmogorov's statistic, slightly
+    Bonferroni over the corners on the distribution of Kolmogorov's statistic, slightly
     narrower than the DKW bound sqrt(ln(2 corners / (1 - confidence)) / (2 flights)). It is valid
     for corners that share random numbers.
     """
