@@ -19,7 +19,7 @@ from uqharness.batch.auxiliary import POINT, TOUCHED
 from uqharness.batch.interpret import Interpreter
 from uqharness.batch.llvm import choose_target
 from uqharness.batch.llvm_flight import compile_program
-from uqharness.batch.motion import CONDITIONS, WEIGHTS_PARTS, round_44_bits, slots
+from uqharness.batch.motion import CONDITIONS, WEIGHTS_PARTS, round_44_bits
 from uqharness.batch.motion import slots as state_slots
 from uqharness.batch.passes import optimise, propagate_constants, specialise_startup
 from uqharness.batch.program import Flyer, Program, Stream
@@ -385,7 +385,7 @@ def make_mission(
     # Everything that differs between lanes must not be folded as a constant.
     varying = (
         *request.inputs,
-        *(f"#{name}" for part in WEIGHTS_PARTS for name in slots(part)),
+        *(f"#{name}" for part in WEIGHTS_PARTS for name in state_slots(part)),
         *(name for name, _ in flight.draws),
     )
     varying = (*varying, *(DRY if set(request.inputs) & set(MASS) else ()))

@@ -287,9 +287,7 @@ def _trace_settling(
 
 
 def _trace_rest(models: FrameModels, flight: Frame, inputs: Collection[str]) -> Program:
-    """Trace the frame of `simulator.forced_state.run_frozen`, whose motion, but
-    for free rates, no integrator moves.
-    """
+    """Trace the frame of `simulator.forced_state.run_frozen`: integrators move free rates alone."""
     if flight.draws or any(section.when.mask == winds.MASK for section in flight.sections):
         raise BadInputError(
             "frames of JSBSim bring the control system to rest before the flight begins, and draw"
