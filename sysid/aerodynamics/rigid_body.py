@@ -199,7 +199,7 @@ class RigidSlopes:
             loops().gust_slopes(states, gusts, self.rate, self.slopes, A, B, H, D)
         # Gusts with axes of one azimuth are JSBSim's, and so are the rates of alpha and beta then.
         flow = self.flow if gusts is not None and gusts.in_earth else None
-        to_z = np.eye(size)[None] if flow is None else flow.apply(A, B, H, D)
+        to_z = None if flow is None else flow.apply(A, B, H, D)
         phi, (g0, g1) = np.empty((n - 1, size, size)), np.zeros((2, n - 1, size, 6))
         loops().discretise(A, B, self.dt_s, phi, g0, g1)
         # Still air stays still over a step of the model.
@@ -211,8 +211,8 @@ class RigidSlopes:
         # The air states in still air depend on the first eight: differentiate by complex steps.
         moved = self.x[0] + 1e-20j * np.eye(8)
         start = np.ascontiguousarray(with_gust_states(moved, gusts, self.turn[0]).imag.T) / 1e-20
-        start = to_z[0] @ start
-        if flow is not None:
+        if flow is not None and to_z is not None:
+            start = to_z[0] @ start
             defect[:, :8] -= np.einsum("nij,nj->ni", flow.gain[1:], flow.change)
         return Steps(self.dt_s, phi, g0, g1, defect, H, D, self.y_ref.copy(), start)
 

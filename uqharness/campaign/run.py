@@ -624,7 +624,7 @@ def _fly_missing(
             before_flying(pace, done_before)
             start_checked, start_s = True, time.monotonic()
             # The process of the check has translated the aircraft already.
-            if judge is not None and hasattr(executor, "adopt"):
+            if judge is not None and isinstance(executor, ProcessExecutor):
                 executor.adopt(checker)
             checker.close()
         if judge is None:

@@ -270,7 +270,7 @@ def band_half_width(flights: int, corners: int, confidence: float) -> float:
 def _kolmogorov(tail: float, flights: int) -> float:
     """Return the upper quantile of Kolmogorov's statistic with probability ``tail``."""
     # Small probabilities are twice those of Smirnov's one-sided statistic to 1e-12; with more
-    # flights scipy uses a series. Its import takes half a second.
+    # flights scipy.stats uses a series. It takes half a second to import.
     if tail < 1e-3 and 2 < flights <= 140:
         return float(smirnovi(flights, 0.5 * tail))
     from scipy import stats
