@@ -382,6 +382,17 @@ def unforced(x: NDArray[Any], gravity: float = G0_MPS2) -> NDArray[Any]:
     )
 
 
+def flow_by_force(x: FloatArray) -> FloatArray:
+    """Compute the slopes (n, 2, 3) of the rates of alpha and beta with the specific force [m/s2] in
+    body axes, at states x (n, 8 or more).
+    """
+    V, trig = x[:, 0], sines(x.T)
+    _, _, _, _, sa, ca, sb, cb = trig
+    zero = np.zeros(len(x))
+    by_axis = np.array([[-sa / cb, zero, ca / cb], [-ca * sb, cb, -sa * sb]]) / V
+    return np.moveaxis(by_axis, 2, 0)
+
+
 class _RigidBody:
     """Equations of motion along a reference, with forces linear about it."""
 

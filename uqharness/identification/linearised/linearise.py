@@ -19,6 +19,7 @@ from sysid.aerodynamics import (
     COEFFICIENTS,
     GustStates,
     Reference,
+    flow_by_force,
     regressor,
     split_name,
     unforced,
@@ -68,6 +69,8 @@ _BANKED = (0.5 * np.pi, np.pi)
 """Added bank angles [rad] from which the loads' slopes with the rates of alpha and beta are
 read.
 """
+_FLOW_ROWS = 8
+"""Rows with slopes between two at which their change with these rates is read."""
 
 
 @dataclass(frozen=True)
@@ -387,12 +390,9 @@ def with_property_slopes(
     if not numeric:
         return list(probes), analytic
     rows = [_coarse(len(p.x)) for p in probes]
-    parts = [
-        _states_of(direct_model, s, p, k) for s, p, k in zip(segments, probes, rows, strict=True)
-    ]
-    slopes = property_slopes(direct_model, parts, values, numeric, pool)
+    slopes, banked = _evaluate_slopes(direct_model, segments, probes, rows, values, numeric, pool)
     coarse = [
-        of_part / _scale_at_x(p)[k, None]
+        _as_input(p, k, of_part) / _scale_at_x(p)[k, None]
         for p, k, of_part in zip(probes, rows, slopes, strict=True)
     ]
     features = _polynomials(probes, rows)
@@ -402,18 +402,85 @@ def with_property_slopes(
     )
     weights = np.linalg.lstsq(smooth, values_there, rcond=1e-8)[0]
     out = []
-    for p, k, f, v in zip(probes, rows, features, coarse, strict=True):
+    for i, (p, k, f, v) in enumerate(zip(probes, rows, features, coarse, strict=True)):
         remainder = v - (f[k] @ weights).reshape(v.shape)
         every = (f @ weights).reshape(-1, *v.shape[1:]) + _interpolate(k, len(p.x), remainder)
-        out.append(replace(p, by_property={n: every[:, i] for i, n in enumerate(numeric)}))
+        if banked:
+            every += _by_rotating_air(p, k[::_FLOW_ROWS], slopes[i], [b[i] for b in banked])
+        out.append(replace(p, by_property={n: every[:, j] for j, n in enumerate(numeric)}))
     return out, analytic
 
 
+def _evaluate_slopes(
+    direct_model: ReplayModel,
+    segments: Sequence[Segment],
+    probes: Sequence[Probe],
+    rows: Sequence[NDArray[np.intp]],
+    values: Mapping[str, float],
+    names: Sequence[str],
+    pool: Processes,
+) -> tuple[list[FloatArray], list[list[FloatArray]]]:
+    """Return the loads' slopes (k, K, 6) with K properties at the probes' rows, and at some of the
+    rows for each added bank where loads depend on the rates of alpha and beta.
+    """
+    banks = () if probes[0].reference.by_flow is None else _BANKED
+    pairs = list(zip(segments, probes, rows, strict=True))
+    parts = [_states_of(direct_model, s, p, k) for s, p, k in pairs]
+    for bank in banks:
+        parts += [_states_of(direct_model, s, p, k[::_FLOW_ROWS], bank) for s, p, k in pairs]
+    slopes = property_slopes(direct_model, parts, values, names, pool)
+    count = len(pairs)
+    sets = [slopes[first : first + count] for first in range(0, len(slopes), count)]
+    return sets[0], sets[1:]
+
+
+def _as_input(p: Probe, rows: NDArray[np.intp], slopes: FloatArray) -> FloatArray:
+    """Return slopes (k, K, 6) of loads without what the linear system adds to an input.
+
+    It adds what the input's force changes by the rates of alpha and beta, which slopes include.
+    """
+    if p.reference.by_flow is None:
+        return slopes
+    response = np.zeros((len(rows), 6, 6))
+    response[:, :, :3] = p.reference.by_flow[rows] @ flow_by_force(p.x[rows]) / p.mass.mass
+    return np.asarray(np.linalg.solve(np.eye(6) + response, slopes.swapaxes(1, 2)).swapaxes(1, 2))
+
+
+def _by_rotating_air(
+    p: Probe, rows: NDArray[np.intp], slopes: FloatArray, banked: Sequence[FloatArray]
+) -> FloatArray:
+    """Return the change (n, K, 6) of slopes of CX to Cn because air that rotates changes no rates
+    of alpha and beta: slopes were evaluated with angular rates relative to the air.
+
+    ``slopes`` and ``banked`` are those of `_evaluate_slopes` for one probe, ``rows`` the rows of
+    the latter.
+    """
+    weight = unforced(p.x[rows])
+    turned = np.stack([unforced(_with_bank(p.x[rows], bank)) - weight for bank in _BANKED], axis=1)
+    change = np.stack([b - slopes[::_FLOW_ROWS] for b in banked], axis=1)
+    by_flow = np.linalg.solve(turned, change.reshape(len(rows), len(_BANKED), -1))
+    by_flow /= np.tile(_scale_at_x(p)[rows], slopes.shape[1])[:, None]
+    every = _interpolate(rows, len(p.x), by_flow)
+    excess = unforced(p.body) - unforced(p.x)
+    return np.asarray(np.einsum("nf,nfk->nk", excess, every)).reshape(-1, *slopes.shape[1:])
+
+
+def _with_bank(x: FloatArray, angle: float) -> FloatArray:
+    """Return states (n, 8) with an added bank angle [rad]."""
+    moved = x.copy()
+    moved[:, STATES.index("phi_rad")] += angle
+    return moved
+
+
 def _states_of(
-    direct_model: ReplayModel, segment: Segment, p: Probe, rows: NDArray[np.intp]
+    direct_model: ReplayModel,
+    segment: Segment,
+    p: Probe,
+    rows: NDArray[np.intp],
+    bank: float = 0.0,
 ) -> SegmentStates:
-    """Return the states of some rows of a probe."""
-    motion = {name: p.x[rows, k] for k, name in enumerate(STATES)}
+    """Return the states of some rows of a probe, with an added bank angle [rad]."""
+    motion = dict(zip(STATES, _with_bank(p.x[rows], bank).T, strict=True))
     height = altitudes(direct_model, segment, p.height_m[rows])
     return SegmentStates(segment, motion, p.controls[rows], height)
 

@@ -10,6 +10,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from sysid.aerodynamics import rigid_slopes
 from sysid.aerodynamics.rigid_body import STATES
 from sysid.parallel import SERIAL
 from uqharness.cli.main import main
@@ -96,7 +97,7 @@ def test_what_a_property_does_is_that_at_states_that_jump_from_row_to_row(glider
     segment = Segment("test", "test", 0.02 * np.arange(n), controls, np.zeros(9), 200.0, 200.0)
     names = ("uq/scale/Clb", "uq/scale/Clp", "uq/scale/CYb", "uq/scale/CDi")
     values, none = dict.fromkeys(names, 1.0), np.zeros((n, 6))
-    reference = SimpleNamespace(x=np.tile(at, (n, 1)), qbar=np.full(n, 400.0))
+    reference = SimpleNamespace(x=np.tile(at, (n, 1)), qbar=np.full(n, 400.0), by_flow=None)
     mass = SimpleNamespace(S=10.0, lengths=np.array([10.0, 1.0, 10.0]))
     one = none[:, 0]
     probe = Probe(reference, mass, none, none, none, none, controls, one, height, x, x, x, x[:, :2])  # type: ignore[arg-type]
@@ -114,3 +115,35 @@ def test_what_a_property_does_is_that_at_states_that_jump_from_row_to_row(glider
         expected = exact[name] / probe.scale[rows] / faster
         size = np.sqrt(np.mean(expected**2, axis=0)).max()
         assert np.abs(probe.by_property[name][rows] - expected).max() < 0.03 * size, name
+
+
+def test_lift_and_rotating_air_change_a_moment_by_alphadot_once(glider):
+    """A column moves the linear system as the model's own loads do, and air that rotates changes no
+    rate of alpha.
+    """
+    n = 40
+    body = np.tile([27.0, 0.05, 0.0, 0.0, 0.2, 0.0, 0.0, 0.05], (n, 1))
+    relative = body - [*[0.0] * 4, 0.15, *[0.0] * 3]
+    controls, height = np.zeros((n, len(CONTROLS))), np.full(n, 200.0)
+    segment = Segment("test", "test", 0.02 * np.arange(n), controls, np.zeros(9), 200.0, 200.0)
+    lift, names = "uq/scale/CLalpha", ("uq/scale/CLalpha", "uq/scale/Cmadot")
+    values, states = dict.fromkeys(names, 1.0), SegmentStates
+    with ReplayFolder(glider, ideal=CONTROLS) as level:
+        (probe,) = probe_all([ProbeJob(level, segment, body, controls, values, False, height)])
+        in_still_air, in_rotating_air = (
+            with_property_slopes(
+                level, [segment], [replace(probe, x=x)], names, values, analytic=(), pool=SERIAL
+            )[0][0].by_property
+            for x in (body, relative)
+        )
+        motion = dict(zip(STATES, body.T, strict=True))
+        (loads,) = property_slopes(
+            level, [states(segment, motion, controls, height)], values, names
+        )
+    by_input = rigid_slopes(probe.reference, probe.mass).slopes[:, 3:6, 14:]
+    turned = np.einsum("nij,nj->ni", by_input, in_still_air[lift])
+    expected = loads[:, 0, 3:] @ np.linalg.inv(probe.mass.inertia).T
+    assert np.abs(expected[:, 1]).min() > 0.1
+    np.testing.assert_allclose(turned[:, 1], expected[:, 1], rtol=0.01)
+    moment, still = (c["uq/scale/Cmadot"][:, 4] for c in (in_rotating_air, in_still_air))
+    np.testing.assert_allclose(moment, still, rtol=0.02)
