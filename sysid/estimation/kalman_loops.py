@@ -6,8 +6,7 @@ Cholesky root (Bierman, Factorization Methods for Discrete Sequential Estimation
 V.3). Between samples P is multiplied out, process noise is added, and P is factored again (section
 III.4 there). A variance that rounding makes negative is zero.
 
-Inner loops run over all states, whose number is a compile-time constant, or along rows of memory:
-both become vector instructions without changing the order of a sum.
+Rows of all states are added by the vector instructions of `sysid.vector_rows`.
 """
 
 from __future__ import annotations
@@ -16,6 +15,9 @@ import numpy as np
 
 from sysid.aerodynamics import NX
 from sysid.linalg import compiled
+from sysid.vector_rows import row_operations
+
+_add_row, _add_product, _exchange_rows = row_operations(NX)
 
 
 @compiled
@@ -29,10 +31,10 @@ def filter_gains(  # type: ignore[no-untyped-def]  # pragma: no cover
     """
     n, m = system.is_measured.shape
     gain, variance, prior_variance = np.zeros((n, m, NX)), np.ones((n, m)), np.ones((n, m))
-    noisy = np.flatnonzero(q)
     # Rows of V are columns of U.
     V, D, f = np.eye(NX), begin.copy(), np.empty(NX)
-    W, P, halves = np.empty((NX, NX)), np.empty((NX, NX)), np.empty((len(noisy), NX))
+    W, P, halves = np.empty((NX, NX)), np.empty((NX, NX)), np.empty((NX, NX))
+    turned, work = np.empty((NX, NX)), np.empty((NX, NX))
     for k in range(n):
         if with_prior_variance:
             for j in range(m):
@@ -44,16 +46,17 @@ def filter_gains(  # type: ignore[no-untyped-def]  # pragma: no cover
         for j in range(m):
             if system.is_measured[k, j]:
                 _project(V, system.H[k, j], f)
-                variance[k, j] = _measurement_update(V, D, f, r[j], gain[k, j])
+                variance[k, j] = _measurement_update(V, D, f, r[j], work, gain[k, j])
         if k < n - 1:
-            _propagate_factor(system.phi[k], V, W)
+            _transpose(system.phi[k], turned)
+            # Rows of W are columns of Phi U.
+            W[:] = 0.0
             P[:] = 0.0
             for c in range(NX):
-                _add_outer(D[c], W[c], P)
-            _half_step_columns(system.phi[k], noisy, halves)
-            for c in range(len(noisy)):
-                at = noisy[c]
-                _add_process_noise(system.phi[k], system.dt_s * q[at], at, halves[c], f, P)
+                _add_product(W, c, V, c, turned)
+            _add_square(W, D, work, P)
+            _half_step(turned, work, halves)
+            _add_process_noise(turned, halves, q, system.dt_s, work, P)
             _factor(P, V, D)
     return gain, variance, prior_variance
 
@@ -70,88 +73,80 @@ def _project(V, h, f):  # type: ignore[no-untyped-def]  # pragma: no cover
 
 @compiled
 def _measurement_update(  # type: ignore[no-untyped-def]  # pragma: no cover
-    V, D, f, variance, gain
+    V, D, f, variance, work, gain
 ):
     """Update U and D by one channel with f = U'h (Bierman).
 
-    Writes the gain (13,) into ``gain`` and returns the variance of the innovation.
+    Adds the gain (13,) to ``gain``, which is zero, and returns the variance of the innovation. The
+    first rows of ``work`` are overwritten.
     """
     alpha = variance
+    back, v = work[0], work[1]
+    inverse = 1.0 / alpha
     for i in range(NX):
-        if f[i] == 0.0:
-            continue
-        alpha_before, v = alpha, D[i] * f[i]
-        alpha += v * f[i]
-        D[i] *= alpha_before / alpha
-        gain[i] = v
-        back = -f[i] / alpha_before
-        for e in range(i):
-            old = V[i, e]
-            V[i, e] = old + gain[e] * back
-            gain[e] += old * v
+        v[i] = D[i] * f[i]
+        back[i] = -f[i] * inverse
+        D[i] *= alpha
+        alpha += v[i] * f[i]
+        inverse = 1.0 / alpha
+        D[i] *= inverse
+    # Before row i, the gain's elements from i on are zero: U stays triangular.
+    _exchange_rows(V, back, v, gain)
     for i in range(NX):
-        gain[i] /= alpha
+        gain[i] *= inverse
     return alpha
 
 
 @compiled
-def _propagate_factor(phi, V, W):  # type: ignore[no-untyped-def]  # pragma: no cover
-    """Write the transpose of Phi U into the first rows of ``W``."""
-    for c in range(NX):
-        for i in range(NX):
-            W[c, i] = phi[i, c]
-    # From the last column on, so that each uses the unchanged columns before it.
-    for c in range(NX - 1, 0, -1):
-        for e in range(c):
-            for i in range(NX):
-                W[c, i] += V[c, e] * W[e, i]
+def _transpose(phi, turned):  # type: ignore[no-untyped-def]  # pragma: no cover
+    """Write the transpose of ``phi`` into ``turned``."""
+    for i in range(NX):
+        for c in range(NX):
+            turned[c, i] = phi[i, c]
 
 
 @compiled
-def _add_outer(weight, w, P):  # type: ignore[no-untyped-def]  # pragma: no cover
-    """Add weight w w' to P."""
+def _add_square(W, weights, work, P):  # type: ignore[no-untyped-def]  # pragma: no cover
+    """Add W' diag(``weights``) W to P. Overwrites ``work``."""
+    for c in range(NX):
+        for i in range(NX):
+            work[i, c] = weights[c] * W[c, i]
     for i in range(NX):
-        u = weight * w[i]
-        if u != 0.0:
-            for e in range(NX):
-                P[i, e] += u * w[e]
+        _add_product(P, i, work, i, W)
 
 
 @compiled
 def _add_process_noise(  # type: ignore[no-untyped-def]  # pragma: no cover
-    phi, variance, at, half, column, P
+    turned, halves, q, dt_s, work, P
 ):
-    """Add the noise of state ``at`` in one step, of a ``variance``, to P. Overwrites ``column``.
+    """Add the noise of one step, of variances ``q`` per second, to P. Overwrites ``work``.
 
     The noise acts throughout the step: the integral of exp(A s) Q exp(A's) by Simpson's rule. If it
     were added at the step's end alone, it would come half a step late and sensors would look early.
     """
+    sixth = dt_s / 6.0 * q
+    _add_square(halves, 4.0 * sixth, work, P)
+    _add_square(turned, sixth, work, P)
     for i in range(NX):
-        column[i] = phi[i, at]
-    _add_outer(variance * 4.0 / 6.0, half, P)
-    _add_outer(variance / 6.0, column, P)
-    P[at, at] += variance / 6.0
+        P[i, i] += sixth[i]
 
 
 @compiled
-def _half_step_columns(phi, noisy, halves):  # type: ignore[no-untyped-def]  # pragma: no cover
-    """Compute columns ``noisy`` of the transition over half a step, one per row of ``halves``.
+def _half_step(turned, work, halves):  # type: ignore[no-untyped-def]  # pragma: no cover
+    """Write the transpose of the transition over half a step into ``halves``.
 
-    The square root of Phi to second order: 1 + A/2 - A^2/8 with A = Phi - 1.
+    The square root of Phi to second order: 1 + A/2 - A^2/8 with A = Phi - 1; ``turned`` is Phi'.
+    Overwrites ``work``.
     """
-    increment = np.empty((NX, NX))
-    for i in range(NX):
-        for e in range(NX):
-            increment[e, i] = phi[i, e]
-        increment[i, i] -= 1.0
-    for c in range(len(noisy)):
-        at = noisy[c]
+    # 3/8 + (3/4 - Phi/8) Phi; transposes have the same products.
+    for c in range(NX):
         for i in range(NX):
-            halves[c, i] = 0.5 * increment[at, i]
-        halves[c, at] += 1.0
-        for e in range(NX):
-            for i in range(NX):
-                halves[c, i] -= 0.125 * increment[at, e] * increment[e, i]
+            work[c, i] = -0.125 * turned[c, i]
+            halves[c, i] = 0.0
+        work[c, c] += 0.75
+        halves[c, c] = 0.375
+    for c in range(NX):
+        _add_product(halves, c, work, c, turned)
 
 
 @compiled
@@ -159,12 +154,11 @@ def _factor(P, V, D):  # type: ignore[no-untyped-def]  # pragma: no cover
     """Factor P into U and D, the last state first. Overwrites P."""
     for i in range(NX - 1, -1, -1):
         D[i] = max(P[i, i], 0.0)
+        inverse = 1.0 / D[i] if D[i] > 0.0 else 0.0
         for e in range(i):
-            V[i, e] = P[i, e] / D[i] if D[i] > 0.0 else 0.0
+            V[i, e] = P[i, e] * inverse
         for e in range(i):
-            u = P[i, e]
-            for o in range(i):
-                P[e, o] -= u * V[i, o]
+            _add_row(P, e, -P[i, e], V, i)
 
 
 @compiled
@@ -183,9 +177,9 @@ def noise_columns(  # type: ignore[no-untyped-def]  # pragma: no cover
     """
     n, m = system.is_measured.shape
     A = len(noisy)
-    x, moved, f, column = start.copy(), np.empty(NX), np.empty(NX), np.empty(NX)
+    x, moved, f = start.copy(), np.empty(NX), np.empty(NX)
     d, F = np.zeros((A, NX)), np.zeros((A, NX, NX))
-    T, turned, halves = np.empty((NX, NX)), np.empty((NX, NX)), np.empty((A, NX))
+    T, turned, halves = np.empty((NX, NX)), np.empty((NX, NX)), np.empty((NX, NX))
     for k in range(n):
         for j in range(m):
             if not system.is_measured[k, j]:
@@ -195,53 +189,49 @@ def noise_columns(  # type: ignore[no-untyped-def]  # pragma: no cover
             for i in range(NX):
                 innovation -= h[i] * x[i]
             for c in range(A):
+                by_noise = F[c]
                 f[:] = 0.0
                 change = 0.0
                 for i in range(NX):
-                    if h[i] != 0.0:
-                        change -= h[i] * d[c, i]
-                        for e in range(NX):
-                            f[e] += h[i] * F[c, i, e]
+                    change -= h[i] * d[c, i]
+                _add_product(f, 0, h, 0, by_noise)
                 by_variance = 0.0
                 for i in range(NX):
                     by_variance += h[i] * f[i]
+                scale = innovation / s
                 for i in range(NX):
-                    d[c, i] += (f[i] - gain[i] * by_variance) / s * innovation + gain[i] * change
+                    d[c, i] += (f[i] - gain[i] * by_variance) * scale + gain[i] * change
                     # F - K f' - f K' + K K' h f, symmetric.
-                    u = gain[i] * by_variance - f[i]
-                    for e in range(NX):
-                        F[c, i, e] += u * gain[e] - gain[i] * f[e]
+                    _add_row(by_noise, i, gain[i] * by_variance - f[i], gain, 0)
+                    _add_row(by_noise, i, -gain[i], f, 0)
                 out[k, j, c] = change / np.sqrt(s)
             for i in range(NX):
                 x[i] += gain[i] * innovation
         if k < n - 1:
             phi = system.phi[k]
-            _half_step_columns(phi, noisy, halves)
-            for i in range(NX):
-                moved[i] = system.defect[k, i]
-                for e in range(NX):
-                    moved[i] += phi[i, e] * x[e]
-                    turned[e, i] = phi[i, e]
+            _transpose(phi, turned)
+            _half_step(turned, T, halves)
+            moved[:] = system.defect[k]
+            _add_product(moved, 0, x, 0, turned)
             x[:] = moved
             for c in range(A):
+                by_noise = F[c]
+                moved[:] = 0.0
+                _add_product(moved, 0, d[c], 0, turned)
+                d[c] = moved
                 T[:] = 0.0
                 for i in range(NX):
-                    moved[i] = 0.0
-                    for e in range(NX):
-                        p = phi[i, e]
-                        if p != 0.0:
-                            moved[i] += p * d[c, e]
-                            for o in range(NX):
-                                T[i, o] += p * F[c, e, o]
-                d[c] = moved
-                F[c] = 0.0
+                    _add_product(T, i, phi, i, by_noise)
+                by_noise[:] = 0.0
                 for i in range(NX):
-                    for e in range(NX):
-                        t = T[i, e]
-                        for o in range(NX):
-                            F[c, i, o] += t * turned[e, o]
+                    _add_product(by_noise, i, T, i, turned)
+                # The noise of state ``at`` as in `_add_process_noise`.
                 at = noisy[c]
-                _add_process_noise(phi, system.dt_s * q[at], at, halves[c], column, F[c])
+                sixth = system.dt_s / 6.0 * q[at]
+                for i in range(NX):
+                    _add_row(by_noise, i, 4.0 * sixth * halves[at, i], halves, at)
+                    _add_row(by_noise, i, sixth * turned[at, i], turned, at)
+                by_noise[at, at] += sixth
 
 
 @compiled
@@ -340,24 +330,23 @@ def backward(system, gains, innovation, q):  # type: ignore[no-untyped-def]  # p
     by_noise, by_process, by_start = np.zeros((2, m)), np.zeros((2, NX)), np.zeros((2, NX))
     noisy = np.flatnonzero(q)
     r, N, a = np.zeros(NX), np.zeros((NX, NX)), np.empty(NX)
-    halves = np.empty((len(noisy), NX))
+    halves, turned, work = np.empty((NX, NX)), np.empty((NX, NX)), np.empty((NX, NX))
     sixth = system.dt_s / 6.0
     for k in range(n - 1, -1, -1):
         if k < n - 1:
             # Process noise as in `filter_gains`: Simpson's rule over end, middle and beginning.
-            _half_step_columns(system.phi[k], noisy, halves)
+            _transpose(system.phi[k], turned)
+            _half_step(turned, work, halves)
             _add_end_point(r, N, noisy, sixth, by_process)
-            _add_midpoint(r, N, noisy, halves, 4.0 * sixth, by_process)
-            _propagate_back(system.phi[k], r, N)
+            _add_midpoint(r, N, noisy, halves, 4.0 * sixth, a, by_process)
+            _propagate_back(system.phi[k], turned, work, r, N)
             _add_end_point(r, N, noisy, sixth, by_process)
         for j in range(m - 1, -1, -1):
             if not system.is_measured[k, j]:
                 continue
             h, g = system.H[k, j], gains.gain[k, j]
             a[:] = 0.0
-            for e in range(NX):
-                for i in range(NX):
-                    a[i] += g[e] * N[e, i]
+            _add_product(a, 0, g, 0, N)
             u, slope = innovation[k, j] / gains.variance[k, j], 1.0 / gains.variance[k, j]
             for i in range(NX):
                 u -= g[i] * r[i]
@@ -383,40 +372,36 @@ def _add_end_point(  # type: ignore[no-untyped-def]  # pragma: no cover
 
 @compiled
 def _add_midpoint(  # type: ignore[no-untyped-def]  # pragma: no cover
-    r, N, noisy, halves, weight, by_process
+    r, N, noisy, halves, weight, rotated, by_process
 ):
-    """Add the midpoint of Simpson's rule to the derivatives with the process noise."""
-    rotated = np.empty(NX)
+    """Add the midpoint of Simpson's rule to the derivatives with the process noise.
+
+    Overwrites ``rotated`` (13,).
+    """
     for c in range(len(noisy)):
         at = noisy[c]
         rotated[:] = 0.0
-        for e in range(NX):
-            for i in range(NX):
-                rotated[i] += halves[c, e] * N[e, i]
+        _add_product(rotated, 0, halves, at, N)
         square, projection = 0.0, 0.0
         for i in range(NX):
-            square += rotated[i] * halves[c, i]
-            projection += r[i] * halves[c, i]
+            square += rotated[i] * halves[at, i]
+            projection += r[i] * halves[at, i]
         by_process[0, at] += weight * square
         by_process[1, at] += weight * projection**2
 
 
 @compiled
-def _propagate_back(phi, r, N):  # type: ignore[no-untyped-def]  # pragma: no cover
-    """Replace r and N by Phi'r and Phi'N Phi."""
-    a, T = np.zeros(NX), np.zeros((NX, NX))
+def _propagate_back(phi, turned, work, r, N):  # type: ignore[no-untyped-def]  # pragma: no cover
+    """Replace r and N by Phi'r and Phi'N Phi; ``turned`` is Phi'. Overwrites ``work``."""
+    work[:] = 0.0
     for e in range(NX):
-        for o in range(NX):
-            for i in range(NX):
-                T[e, i] += N[e, o] * phi[o, i]
-        for i in range(NX):
-            a[i] += r[e] * phi[e, i]
+        _add_product(work, e, N, e, phi)
     N[:] = 0.0
-    for e in range(NX):
-        for i in range(NX):
-            for o in range(NX):
-                N[i, o] += phi[e, i] * T[e, o]
-    r[:] = a
+    for i in range(NX):
+        _add_product(N, i, turned, i, work)
+    work[0] = 0.0
+    _add_product(work, 0, r, 0, phi)
+    r[:] = work[0]
 
 
 @compiled
@@ -425,8 +410,7 @@ def _update_back(h, a, u, slope, r, N):  # type: ignore[no-untyped-def]  # pragm
     for e in range(NX):
         if h[e] != 0.0:
             r[e] += h[e] * u
+            _add_row(N, e, -h[e], a, 0)
             for i in range(NX):
-                N[e, i] -= h[e] * a[i]
                 N[i, e] -= h[e] * a[i]
-            for i in range(NX):
-                N[e, i] += slope * h[e] * h[i]
+            _add_row(N, e, slope * h[e], h, 0)

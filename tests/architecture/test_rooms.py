@@ -86,8 +86,8 @@ DOORS: Mapping[str, tuple[str, ...]] = {
         "uqharness/simulator/engine.py",
         "uqharness/exchange/fmu_slave.py",  # a program inside an FMU, without this project
     ),
-    "llvmlite": ("uqharness/batch/llvm.py",),
-    "numba": ("sysid/linalg.py",),
+    "llvmlite": ("uqharness/batch/llvm.py", "sysid/vector_rows.py"),
+    "numba": ("sysid/linalg.py", "sysid/vector_rows.py"),
     "matplotlib": ("uqharness/report/plots.py",),
     "argparse": ("uqharness/cli/",),
     "distributed": ("uqharness/campaign/dask.py",),
