@@ -40,6 +40,7 @@ from .rigid_body import Reference as Reference
 from .rigid_body import RigidSlopes as RigidSlopes
 from .rigid_body import Steps as Steps
 from .rigid_body import flow_by_force as flow_by_force
+from .rigid_body import flow_by_wind as flow_by_wind
 from .rigid_body import linearise as linearise
 from .rigid_body import rates as rates
 from .rigid_body import rigid_slopes as rigid_slopes

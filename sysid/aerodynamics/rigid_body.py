@@ -23,13 +23,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sysid.aerodynamics.air_motion import GustStates
-from sysid.aerodynamics.coefficients import MassProperties
+from sysid.aerodynamics.coefficients import MassProperties, smooth
 from sysid.aerodynamics.flight_equations import (
     Body,
     ReferenceFlight,
     flow_rates,
+    heading,
     heading_rate,
     loops,
+    rotation,
     sines,
 )
 from sysid.arrays import FloatArray
@@ -53,6 +55,8 @@ OUTPUTS = (
 )
 NX = 13
 """Number of states in turbulence."""
+_WIND_HZ = 1.0
+"""Low-pass of the wind [Hz]."""
 
 
 @dataclass(frozen=True)
@@ -85,6 +89,9 @@ class Reference:
     frame_s : float
         Step [s] of the simulator, which takes these rates from the accelerations of the frame
         before.
+    flow_by_wind : array (n, 2), optional
+        What these rates have by wind in the simulator, which takes them from the velocity over the
+        ground [rad/s].
     """
 
     dt_s: float
@@ -98,6 +105,7 @@ class Reference:
     bend: FloatArray | None = None
     by_flow: FloatArray | None = None
     frame_s: float = 0.0
+    flow_by_wind: FloatArray | None = None
 
     @property
     def turn(self) -> FloatArray:
@@ -164,7 +172,7 @@ class RigidSlopes:
         rotation (3), the acceleration by turning gusts (3) and the coefficients CX to Cn (6).
     turn : array (n,)
         Heading along the reference less its mean [rad].
-    flow : LateFlow, optional
+    flow : SimulatedFlow, optional
         Rates of alpha and beta of a simulator, where forces depend on them.
     """
 
@@ -175,7 +183,7 @@ class RigidSlopes:
     end: FloatArray | None
     slopes: FloatArray
     turn: FloatArray
-    flow: LateFlow | None = None
+    flow: SimulatedFlow | None = None
 
     @cached_property
     def _end_turn(self) -> FloatArray:
@@ -211,10 +219,14 @@ class RigidSlopes:
         # The air states in still air depend on the first eight: differentiate by complex steps.
         moved = self.x[0] + 1e-20j * np.eye(8)
         start = np.ascontiguousarray(with_gust_states(moved, gusts, self.turn[0]).imag.T) / 1e-20
+        y_ref = self.y_ref.copy()
         if flow is not None and to_z is not None:
             start = to_z[0] @ start
+            by_wind = np.einsum("nij,nj->ni", flow.slope, flow.by_wind)
+            defect[:, :8] += 0.5 * self.dt_s * (by_wind[:-1, :8] + by_wind[1:, :8])
             defect[:, :8] -= np.einsum("nij,nj->ni", flow.gain[1:], flow.change)
-        return Steps(self.dt_s, phi, g0, g1, defect, H, D, self.y_ref.copy(), start)
+            y_ref[:, 8:] += by_wind[:, 8:]
+        return Steps(self.dt_s, phi, g0, g1, defect, H, D, y_ref, start)
 
     def _turned_by_mean_gust(self, states: FloatArray, gusts: GustStates) -> FloatArray:
         """Return the change (n - 1, 13) of the states over each step by a mean gust that turns with
@@ -230,33 +242,46 @@ class RigidSlopes:
 
 
 @dataclass(frozen=True)
-class LateFlow:
-    """Forces that follow the rates a(x) of alpha and beta one frame h late, as in JSBSim.
+class SimulatedFlow:
+    """Forces that follow the rates of alpha and beta as JSBSim computes them: one frame h late, and
+    from the velocity over the ground.
 
-    With L the slope of dx/dt with these rates, dx/dt = f(x) + L [a(t - h) - a(t)]. To first order
-    in h, z = x + h L a(x) follows dz/dt = f(x). White gusts in a(x) then enter no rate, so z
-    replaces x as the state.
+    With a(x) the rates by the velocity relative to the air, e their part by wind and L the slope of
+    dx/dt with them, dx/dt = f(x) + L [a(t - h) - a(t) + e]. To first order in h, z = x + h L a(x)
+    follows dz/dt = f(x) + L e. White gusts in a(x) then enter no rate, so z replaces x as the
+    state.
 
     Attributes
     ----------
-    gain : array (n, 8, 2)
-        h L.
+    slope : array (n, 11, 2)
+        L, of the eight rates and the accelerometers' outputs.
+    frame_s : float
+        h [s].
     change : array (n - 1, 2)
         Change of a along the reference, before the controls jump at the next sample.
+    by_wind : array (n, 2)
+        e [rad/s].
     """
 
-    gain: FloatArray
+    slope: FloatArray
+    frame_s: float
     change: FloatArray
+    by_wind: FloatArray
+
+    @property
+    def gain(self) -> FloatArray:
+        """h L (n, 8, 2)."""
+        return self.frame_s * self.slope[:, :8]
 
     def apply(self, A: FloatArray, B: FloatArray, H: FloatArray, D: FloatArray) -> FloatArray:
         """Turn a system (n, ...) of x into that of z, in place; return dz/dx (n, x, x)."""
         by_input = self.gain @ B[:, 1:3]
         to_z = np.tile(np.eye(A.shape[1]), (len(A), 1, 1))
         to_z[:, :8] += self.gain @ A[:, 1:3]
-        B -= A[:, :, :8] @ by_input
-        D -= H[:, :, :8] @ by_input
         to_x = np.linalg.inv(to_z)
         A[:], H[:] = A @ to_x, H @ to_x
+        B -= A[:, :, :8] @ by_input
+        D -= H[:, :, :8] @ by_input
         return to_z
 
 
@@ -286,9 +311,12 @@ def rigid_slopes(
     bend = np.zeros((2, len(x) - 1, 6)) if reference.bend is None else reference.bend
     flow = None
     if reference.by_flow is not None and reference.frame_s:
-        flow = LateFlow(
-            reference.frame_s * slopes[:, :8, 14:] @ reference.by_flow,
+        wind = reference.flow_by_wind
+        flow = SimulatedFlow(
+            slopes[:, :, 14:] @ reference.by_flow,
+            reference.frame_s,
             model(x[1:], 1.0, bend[1])[0][:, 1:3] - rate[:-1, 1:3],
+            np.zeros((len(x), 2)) if wind is None else wind,
         )
     # Extra coefficients become forces and moments by qbar S (1, b, c, b).
     lengths = np.array([1.0, 1.0, 1.0, mass.b, mass.c, mass.b])
@@ -391,6 +419,26 @@ def flow_by_force(x: FloatArray) -> FloatArray:
     zero = np.zeros(len(x))
     by_axis = np.array([[-sa / cb, zero, ca / cb], [-ca * sb, cb, -sa * sb]]) / V
     return np.moveaxis(by_axis, 2, 0)
+
+
+def flow_by_wind(
+    x: FloatArray,
+    psi_rad: FloatArray,
+    vn_mps: FloatArray,
+    ve_mps: FloatArray,
+    vd_mps: FloatArray,
+    dt_s: float,
+) -> FloatArray:
+    """Compute what rates of alpha and beta (n, 2) [rad/s] have by wind where they are computed from
+    the velocity over the ground, at states x (n, 8).
+
+    The wind is that velocity, with heading psi, less the velocity relative to the air.
+    """
+    trig, c, s = sines(x.T), np.cos(psi_rad), np.sin(psi_rad)
+    ground = np.stack([c * vn_mps + s * ve_mps, c * ve_mps - s * vn_mps, vd_mps])
+    wind = smooth((ground - heading(x.T, trig)).T, dt_s, _WIND_HZ).T
+    in_body = np.stack(rotation(GustStates(1.0), x.T, tuple(wind), trig))
+    return np.einsum("nij,nj->ni", flow_by_force(x), np.cross(in_body.T, x[:, 3:6]))
 
 
 class _RigidBody:

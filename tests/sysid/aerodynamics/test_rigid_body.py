@@ -179,6 +179,11 @@ def test_a_moment_by_alphadot_acts_a_frame_late_in_a_simulators_own_turbulence()
         phi = rigid_slopes(flight_at_rest, MASS, 0.0).with_gusts(gusts).phi[0, [1, 4]][:, [1, 4]]
         value = np.log(np.linalg.eigvals(phi).astype(complex))[0] / DT
         assert min(abs(v - root(late_s)) for v in (value, value.conjugate())) < 0.1 * shift
+        # Wind in that rate is an acceleration in the simulator's turbulence alone.
+        windy = replace(flight_at_rest, flow_by_wind=np.full((n, 2), 0.1))
+        change = rigid_slopes(windy, MASS, 0.0).with_gusts(gusts).defect[0]
+        still = rigid_slopes(flight_at_rest, MASS, 0.0).with_gusts(gusts).defect[0]
+        np.testing.assert_allclose((change - still)[4], in_earth * DT * L * 0.1, atol=1e-12)
 
 
 def test_still_air_stays_still_wherever_the_flight_begins():

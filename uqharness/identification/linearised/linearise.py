@@ -406,7 +406,7 @@ def with_property_slopes(
         remainder = v - (f[k] @ weights).reshape(v.shape)
         every = (f @ weights).reshape(-1, *v.shape[1:]) + _interpolate(k, len(p.x), remainder)
         if banked:
-            every += _by_rotating_air(p, k[::_FLOW_ROWS], slopes[i], [b[i] for b in banked])
+            every += _by_moving_air(p, k[::_FLOW_ROWS], slopes[i], [b[i] for b in banked])
         out.append(replace(p, by_property={n: every[:, j] for j, n in enumerate(numeric)}))
     return out, analytic
 
@@ -446,11 +446,11 @@ def _as_input(p: Probe, rows: NDArray[np.intp], slopes: FloatArray) -> FloatArra
     return np.asarray(np.linalg.solve(np.eye(6) + response, slopes.swapaxes(1, 2)).swapaxes(1, 2))
 
 
-def _by_rotating_air(
+def _by_moving_air(
     p: Probe, rows: NDArray[np.intp], slopes: FloatArray, banked: Sequence[FloatArray]
 ) -> FloatArray:
-    """Return the change (n, K, 6) of slopes of CX to Cn because air that rotates changes no rates
-    of alpha and beta: slopes were evaluated with angular rates relative to the air.
+    """Return the change (n, K, 6) of slopes of CX to Cn by rates of alpha and beta that contain no
+    rotation of the air, but wind: slopes were evaluated with angular rates relative to the air.
 
     ``slopes`` and ``banked`` are those of `_evaluate_slopes` for one probe, ``rows`` the rows of
     the latter.
@@ -462,6 +462,8 @@ def _by_rotating_air(
     by_flow /= np.tile(_scale_at_x(p)[rows], slopes.shape[1])[:, None]
     every = _interpolate(rows, len(p.x), by_flow)
     excess = unforced(p.body) - unforced(p.x)
+    if p.reference.flow_by_wind is not None:
+        excess += p.reference.flow_by_wind
     return np.asarray(np.einsum("nf,nfk->nk", excess, every)).reshape(-1, *slopes.shape[1:])
 
 

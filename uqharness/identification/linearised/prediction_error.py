@@ -14,7 +14,15 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from sysid.aerodynamics import AIR, GustStates, Steps, rates, smooth, with_gust_states
+from sysid.aerodynamics import (
+    AIR,
+    GustStates,
+    Steps,
+    flow_by_wind,
+    rates,
+    smooth,
+    with_gust_states,
+)
 from sysid.aerodynamics.rigid_body import STATES as X_STATES
 from sysid.arrays import FloatArray
 from sysid.effects import (
@@ -83,6 +91,7 @@ _KINDS = {
 }
 """Kind of sensor of each channel, by the channel's name without unit."""
 _SMOOTH_HZ = {"V_mps": 2.0}
+_OVER_GROUND = ("psi_rad", "vn_mps", "ve_mps", "vd_mps")
 AIR_SEARCH_LENGTH, AIR_SEARCH_ITERATION = 5.0, 5
 """Length of a step, in standard errors, below which the air is estimated again, and the iteration
 in which it is in any case.
@@ -190,10 +199,27 @@ def predict(
         offsets,
         strict=True,
     )
+    winds = _flows_by_wind(data, x)
     return trajectory, [
-        replace(p, reference=replace(p.reference, bend=b), jumped=control_jumps(a))
-        for p, b, a in curved
+        replace(p, reference=replace(p.reference, bend=b, flow_by_wind=w), jumped=control_jumps(a))
+        for (p, b, a), w in zip(curved, winds, strict=True)
     ]
+
+
+def _flows_by_wind(data: FlightData, path: Sequence[FloatArray]) -> list[FloatArray | None]:
+    """Return `flow_by_wind` along ``path`` ((n, 8) per segment); None where the velocity over the
+    ground or the heading was not measured.
+    """
+    pieces = [(f.record, piece.rows) for f in data.flights for piece in f.pieces]
+    out = list[FloatArray | None]()
+    for (record, rows), segment, x in zip(pieces, data.segments, path, strict=True):
+        is_measured = all(c in record and np.isfinite(record[c][rows]).all() for c in _OVER_GROUND)
+        if not is_measured:
+            out.append(None)
+            continue
+        psi, north, east, down = (np.array(record[c][rows]) for c in _OVER_GROUND)
+        out.append(flow_by_wind(x, psi, north, east, down, segment.dt_s))
+    return out
 
 
 def data_about_delay(
@@ -803,7 +829,8 @@ def at_predictions(
         x = with_gust_states(p.reference.x, states, p.reference.turn) + d
         air = x[:, 3:6] - np.column_stack(states.rotation(x.T))
         full_rates = rates(p.reference, p.mass, x, gusts=states)
-        flow = rates(p.reference, p.mass, x, gusts=states._replace(turning_with=False))
+        flow = rates(p.reference, p.mass, x, gusts=states._replace(turning_with=False))[:, 1:3]
+        wind = p.reference.flow_by_wind if states.in_earth else None
         relative = np.column_stack([x[:, :3], air, x[:, 6:8]])
         coefficients = p.coefficients + _coefficient_change(
             p, (relative - p.reference.x)[:, : len(AIR)]
@@ -811,11 +838,12 @@ def at_predictions(
         out.append(
             replace(
                 p,
+                reference=replace(p.reference, flow_by_wind=wind),
                 coefficients=coefficients,
                 body=x[:, :8],
                 x=relative,
                 rate=full_rates[:, :8],
-                flow_rate=flow[:, 1:3],
+                flow_rate=flow if wind is None else flow + wind,
             )
         )
         outputs.append(

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from scipy.linalg import expm
 
-from sysid.aerodynamics import rates, with_gust_states
+from sysid.aerodynamics import flow_by_wind, rates, with_gust_states
 from sysid.aerodynamics.air_motion import GustStates
 from sysid.aerodynamics.coefficients import MassProperties
 from sysid.aerodynamics.rigid_body import OUTPUTS as STEP_OUTPUTS
@@ -20,6 +20,8 @@ from sysid.effects import turbulence
 from sysid.effects.catalogue import subsystem_effects
 from sysid.effects.turbulence import Score
 from sysid.parallel import SERIAL
+from sysid.units import FT_M
+from tests.helpers.batch_flights import DT_S, aircraft, craft
 from tests.helpers.flown import fly as flown
 from uqharness.identification.linearised import prediction_error as refine_gusts
 from uqharness.identification.linearised.flight_data import ModelState, make_flight_data
@@ -44,6 +46,7 @@ from uqharness.identification.linearised.replay_fit import (
 )
 from uqharness.replay.flights import prepare
 from uqharness.replay.model import ReplayFolder
+from uqharness.simulator import engine
 from uqharness.simulator.aircraft import find_aircraft
 
 OUTPUTS = ("V_mps", "alpha_rad", "ax_mps2")
@@ -519,3 +522,27 @@ def test_a_jump_that_comes_later_is_lacking_from_its_row_on():
         np.testing.assert_allclose((begin + 2.0 * end)[6] / 6.0, 0.0, atol=1e-9)
         np.testing.assert_allclose((2.0 * begin + end)[5] / 6.0, 0.0, atol=1e-9)
         np.testing.assert_allclose(sensed, remainder, atol=1e-9)
+
+
+def test_wind_in_jsbsims_rates_of_alpha_and_beta():
+    """In a steady wind they differ from the derivatives of alpha and beta, in turns."""
+    names = ("alpha", "beta")
+    with craft(aircraft("<aerodynamics/>")) as model:
+        fdm = model.open()
+        engine.run_ic(fdm)
+        fdm["atmosphere/wind-north-fps"], fdm["atmosphere/wind-east-fps"] = 15.0, -20.0
+        rows = []
+        for _ in range(160):
+            fdm.run()
+            angles = [fdm[f"attitude/{n}-rad"] for n in ("phi", "theta", "psi")]
+            air = [FT_M * fdm["velocities/vt-fps"], *(fdm[f"aero/{n}-rad"] for n in names)]
+            body_rates = [fdm[f"velocities/{n}-rad_sec"] for n in "pqr"]
+            ground = [FT_M * fdm[f"velocities/v-{n}-fps"] for n in ("north", "east", "down")]
+            flow = [fdm[f"aero/{n}dot-rad_sec"] for n in names]
+            rows.append([*air, *body_rates, *angles, *ground, *flow])
+    series = np.array(rows)
+    by_wind = flow_by_wind(series[:, :8], *series[:, 8:12].T, DT_S)
+    excess = series[:, 12:] - np.gradient(series[:, 1:3], DT_S, axis=0)
+    middle = slice(60, -60)
+    assert np.abs(excess[middle]).min(axis=0).max() > 0.01
+    np.testing.assert_allclose(by_wind[middle], excess[middle], atol=0.003)
