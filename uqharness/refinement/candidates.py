@@ -43,6 +43,8 @@ TIME_UNITS = ("s", "s/deg")
 """Units of delays and lags, and of rate limits."""
 SLOWER_SHARES = (0.98, 0.95, 0.9, 0.85, 0.75, 0.6, 0.45, 0.3)
 """Rate limits tried below the servo's nominal one, as shares of the fastest motion."""
+SHARES_OF_JUMP = (0.2, 0.14, 0.1, 0.07, 0.05, 0.03)
+"""More of them for a servo without a lag, whose fastest motion is a jump within a row."""
 FASTER_SHARES = (0.75, 0.5, 0.25, 0.0)
 """Rate limits tried above the nominal one: its share in the travel time per degree; the rest is
 that of the fastest motion."""
@@ -258,7 +260,7 @@ def _trial_rates(data: FlightData, surface: str, servo: Actuator) -> list[float]
     )
     slower = [
         limit
-        for share in SLOWER_SHARES
+        for share in (*SLOWER_SHARES, *(SHARES_OF_JUMP if servo.lag is None else ()))
         if 1.0 < (limit := share * min(fastest, servo.rate)) < servo.rate
     ]
     # Interpolated in travel time per degree; the last limit is never reached.

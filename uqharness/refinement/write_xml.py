@@ -38,7 +38,6 @@ from uqharness.simulator import (
     sensors_from_cg,
     servo_number,
 )
-from uqharness.simulator.actuators import actuators
 from uqharness.xml import (
     BODY,
     AeroSection,
@@ -70,7 +69,10 @@ from uqharness.xml import (
     read_section,
     replace_attribute,
     replace_text,
+    servo_of_surface,
+    servo_property,
     value,
+    write_actuator,
 )
 
 # Effects that change numbers an author wrote: <mass_balance> and <actuator>.
@@ -88,7 +90,7 @@ def servo_of(effect: Effect, aircraft: Aircraft) -> Actuator | None:
     part, _, surface = (effect.subsystem or "").partition(".")
     if part != "actuator" or effect.term not in ("lag", "rate_limit"):
         return None
-    return actuators(aircraft, [surface])[surface]
+    return servo_of_surface(aircraft, surface)
 
 
 def write_mass(folder: Path, aircraft: Aircraft, effect: Effect, value: float, remark: str) -> None:
@@ -160,16 +162,15 @@ def write_servo(
 ) -> None:
     """Change a servo's number: lag [1/s] or rate_limit, both as properties, or deadband_width.
 
-    Raises BadInputError.
+    A surface without an actuator gets one. Raises BadInputError.
     """
     surface = (effect.subsystem or "").partition(".")[2]
-    position = aircraft.card.inputs[surface].position
+    write_actuator(folder, aircraft, surface)
+    position, unit_deg = servo_property(aircraft, surface)
     place = _actuator(folder, position)
-    if place is None:
-        raise BadInputError(
-            f"aircraft '{aircraft.name}': no <actuator name=\"{position}\"> for effect {effect.key}"
-        )
+    assert place is not None
     document, actuator = place
+    value = value / unit_deg if effect.term == "deadband" else value
     # Its numbers may stand in the XML as properties: asked of JSBSim, they are what flies.
     servo, name = servo_of(effect, aircraft), effect.property_name
     tag = _TAGS[effect.term]
@@ -182,7 +183,7 @@ def write_servo(
             [append_child(document, actuator, [f"<{tag}>{value:.8g}</{tag}>  {comment(remark)}"])],
         )
     else:
-        text = f"{servo_number(servo, effect.term, value):.8g}"
+        text = f"{servo_number(servo, effect.term, value, unit_deg):.8g}"
         declared = declaration(document, name)
         if declared is not None and number_node is not None and number_node.text.strip() == name:
             # The aircraft carries this effect already.
@@ -427,9 +428,9 @@ def carrier(effect: Effect, aircraft: Aircraft) -> EffectProperty | None:
         return EffectProperty(THRUST_SCALE, 1.0)
     servo = servo_of(effect, aircraft)
     if servo is not None:
-        return EffectProperty(
-            effect.property_name, servo_number(servo, effect.term, 0.0), servo, effect.term
-        )
+        _, unit_deg = servo_property(aircraft, (effect.subsystem or "").partition(".")[2])
+        absent = servo_number(servo, effect.term, 0.0, unit_deg)
+        return EffectProperty(effect.property_name, absent, servo, effect.term, unit_deg)
     name = property_of(effect)
     return None if name is None else EffectProperty(name, 0.0)
 

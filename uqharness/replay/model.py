@@ -73,7 +73,7 @@ class ReplayModel:
     factor : tuple of float
         Record unit to property unit, one a control.
     lagging : tuple of str
-        Controls whose commands pass an actuator with a lag.
+        Controls whose commands pass an actuator with a lag or a rate limit.
     lags : Mapping
         Control to its lag and rate limit as text of the XML.
     settings : Mapping
@@ -345,7 +345,7 @@ def _strip_dynamics(
     controls.
 
     An actuator moves a control if its name or one of its outputs is the card's position, in
-    whatever unit. Returns position to (lag, rate limit) of actuators that keep a lag, and the
+    whatever unit. Returns position to (lag, rate limit) of actuators that keep one, and the
     properties that the actuators' numbers refer to.
     """
     lagging: dict[str | None, tuple[str, str]] = {}
@@ -381,7 +381,7 @@ def _strip_dynamics(
                     for element in actuator.findall(kind):
                         actuator.remove(element)
                         changed = True
-            if actuator.find("lag") is not None:
+            if any(actuator.find(kind) is not None for kind in ("lag", "rate_limit")):
                 # A rate limit counts in the unit of the actuator's own output.
                 texts = [(actuator.findtext(kind) or "").strip() for kind in ("lag", "rate_limit")]
                 lagging |= {

@@ -71,7 +71,8 @@ def initial_actuator_positions(
         k = model.controls.index(control)
         lag, rate = (_number(text, values) for text in numbers)
         # Unknown commands or an unknown lag leave the position undetermined.
-        if control in model.lagging and np.isfinite(before[:, k]).all() and not math.isnan(lag):
+        unknown = bool(numbers[0]) and math.isnan(lag)
+        if control in model.lagging and np.isfinite(before[:, k]).all() and not unknown:
             fastest = math.inf if math.isnan(rate) else abs(rate * model.position_unit(control))
             servo = Actuator(lag if lag * SHORTEST_S < 1.0 else None, fastest)
             out[k] = _servo_position(servo, np.clip(before[:, k], *limits[k]), segment.command_s)

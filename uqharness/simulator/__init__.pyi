@@ -25,6 +25,7 @@ from .aircraft import parse_card as parse_card
 from .aircraft import parse_xml as parse_xml
 from .aircraft import position_factor as position_factor
 from .aircraft import sensors_from_cg as sensors_from_cg
+from .aircraft import set_position as set_position
 from .aircraft import stage as stage
 from .aircraft import staged as staged
 from .aircraft import with_rotor_inertia as with_rotor_inertia

@@ -18,7 +18,7 @@ import numpy as np
 from sysid.arrays import FloatArray
 from sysid.linalg import first_order
 from uqharness.errors import BadInputError
-from uqharness.simulator.aircraft import Aircraft, open_aircraft, parse_xml
+from uqharness.simulator.aircraft import Aircraft, open_aircraft, parse_xml, position_factor
 from uqharness.simulator.staging import model_files
 
 SHORTEST_S = 1e-3
@@ -105,13 +105,14 @@ class Actuator:
         )
 
 
-def servo_number(servo: Actuator, term: str, value: float) -> float:
+def servo_number(servo: Actuator, term: str, value: float, unit_deg: float = 1.0) -> float:
     """Return the parameter of an actuator that is slower by ``value``.
 
-    ``term`` is ``lag`` (``value`` [s] of time constant) or ``rate_limit`` (``value`` [s/unit]).
+    ``term`` is ``lag`` (``value`` [s] of time constant) or ``rate_limit`` (``value`` [s/deg]);
+    ``unit_deg`` are the degrees per unit of the actuator's output.
     """
     if term == "rate_limit":
-        return servo.slowed_to(value)
+        return servo.slowed_to(value) / unit_deg
     return FREE_LAG if servo.lag is None and value == 0.0 else servo.lag_with(value)
 
 
@@ -137,7 +138,7 @@ def _limit_rate(requested: FloatArray, max_step: float) -> FloatArray:
 
 
 def actuators(aircraft: Aircraft, controls: Sequence[str]) -> dict[str, Actuator]:
-    """Return the actuator of each control's position property, from the XML.
+    """Return the actuator of each control's position property, from the XML, in the record's unit.
 
     Raises
     ------
@@ -167,12 +168,11 @@ def actuators(aircraft: Aircraft, controls: Sequence[str]) -> dict[str, Actuator
 
             # Numbers may be given by a property's name.
             lag = number("lag", math.nan)
-            result[control] = Actuator(
-                None if math.isnan(lag) else lag,
-                number("rate_limit", math.inf),
-                number("clipto/min", -math.inf),
-                number("clipto/max", math.inf),
-            )
+            factor = position_factor(aircraft.card.inputs[control])
+            stops = (number("clipto/min", -math.inf), number("clipto/max", math.inf))
+            low, high = sorted(factor * stop for stop in stops)
+            rate = abs(factor) * number("rate_limit", math.inf)
+            result[control] = Actuator(None if math.isnan(lag) else lag, rate, low, high)
     missing = [c for c in controls if c not in result]
     if missing:
         raise BadInputError(

@@ -284,6 +284,19 @@ def sensors_from_cg(path: Path, forward_m: float, remark: str) -> None:
     path.write_bytes(tomlkit.dumps(card).encode("utf-8"))
 
 
+def set_position(path: Path, control: str, name: str) -> None:
+    """Write a control's position property into airframe.toml.
+
+    Raises BadInputError if the file is no TOML.
+    """
+    try:
+        card = tomlkit.parse(path.read_bytes().decode("utf-8"))
+        card["inputs"][control]["position"] = name
+    except (TOMLKitError, UnicodeDecodeError) as error:
+        raise BadInputError(f"{path}: {error}") from None
+    path.write_bytes(tomlkit.dumps(card).encode("utf-8"))
+
+
 @dataclass(frozen=True)
 class Aircraft:
     """A JSBSim aircraft on disk.

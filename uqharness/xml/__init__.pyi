@@ -48,3 +48,6 @@ from .document import protocol_xml as protocol_xml
 from .document import read_document as read_document
 from .document import replace_attribute as replace_attribute
 from .document import replace_text as replace_text
+from .servo import servo_of_surface as servo_of_surface
+from .servo import servo_property as servo_property
+from .servo import write_actuator as write_actuator

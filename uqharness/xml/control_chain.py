@@ -153,7 +153,7 @@ def control_chain(
         if name in visited:
             continue
         visited.add(name)
-        name_writers = writers.get(_surface(name), ())
+        name_writers = writers.get(without_unit(name), ())
         if (
             name in computed
             or len(values.get(name, ())) > 1
@@ -174,7 +174,7 @@ def control_chain(
             pending += [*inputs, *([without_index(gate)] if gate else [])]
     # Inputs: properties that no component writes.
     entering = frozenset(
-        name for name in visited if not writers.get(_surface(name)) and name not in levers
+        name for name in visited if not writers.get(without_unit(name)) and name not in levers
     )
     constants = {
         name: next(iter(values[name])) for name in sorted(visited - levers) if name in values
@@ -189,7 +189,7 @@ def without_index(name: str) -> str:
     return name.strip().removesuffix("[0]")
 
 
-def _surface(name: str) -> str:
+def without_unit(name: str) -> str:
     """Return a position's name without its unit: JSBSim keeps a surface's position in all units."""
     return _UNIT.sub("-pos", name)
 
@@ -200,12 +200,12 @@ def _writers(channels: Sequence[Node]) -> dict[str, list[_Placed]]:
     for channel_index, channel in enumerate(channels):
         for number, node in enumerate(channel.children):
             if node.tag not in _SILENT:
-                for name in {_surface(name) for name in _outputs(node)}:
+                for name in {without_unit(name) for name in component_outputs(node)}:
                     writers[name].append(_Placed(channel_index, number, node))
     return writers
 
 
-def _outputs(node: Node) -> Iterator[str]:
+def component_outputs(node: Node) -> Iterator[str]:
     """Yield the properties that a component writes."""
     if name := attribute(node, "name"):
         yield without_index(name if "/" in name else "fcs/" + re.sub(r"\s", "-", name).lower())
@@ -241,7 +241,7 @@ def _read(node: Node, existing: Collection[str]) -> list[str] | None:
     # Unknown components, and random numbers, may depend on anything.
     if node.tag not in _KINDS or any(inner.tag in _DRAWS for inner in node.walk()):
         return None
-    outputs, inputs = set(_outputs(node)), []
+    outputs, inputs = set(component_outputs(node)), []
     for token in _tokens(node):
         if token.startswith("/"):
             return None

@@ -16,7 +16,6 @@ from sysid.aerodynamics.rigid_body import OUTPUTS as STEP_OUTPUTS
 from sysid.arrays import FloatArray
 from sysid.effects import Effect
 from sysid.estimation import channel_noise, shows_process_noise
-from uqharness.errors import BadInputError
 from uqharness.identification.replay_fit import BIASES, OUTPUTS
 from uqharness.replay import (
     CONTROL_DELAY,
@@ -32,7 +31,7 @@ from uqharness.replay import (
 )
 from uqharness.replay.flights import segments
 from uqharness.simulator import Actuator, Aircraft, servo_number
-from uqharness.simulator.actuators import actuators
+from uqharness.xml import servo_of_surface
 
 
 def acts_on_motion(effect: Effect) -> bool:
@@ -70,12 +69,15 @@ class EffectProperty:
         The servo without the effect, for an effect on a servo.
     term : str
         "lag" or "rate_limit" of the servo.
+    unit_deg : float
+        Degrees per unit of the servo's output.
     """
 
     name: str
     absent: float
     servo: Actuator | None = None
     term: str = ""
+    unit_deg: float = 1.0
 
     @property
     def exact(self) -> bool:
@@ -90,7 +92,7 @@ class EffectProperty:
         return (
             self.absent + value
             if self.servo is None
-            else servo_number(self.servo, self.term, value)
+            else servo_number(self.servo, self.term, value, self.unit_deg)
         )
 
 
@@ -320,15 +322,16 @@ def with_sensors_of(data: FlightData, aircraft: Aircraft) -> FlightData:
 def servos_of(
     aircraft: Aircraft, measured: Sequence[str], ideal: Sequence[str]
 ) -> dict[str, Actuator]:
-    """Return the actuators of surfaces of which only commands were recorded, where the XML has
-    one.
+    """Return the actuators of surfaces of which only commands were recorded.
+
+    One without dynamics stands for an actuator that the XML lacks and `write_servo` can add.
     """
-    out: dict[str, Actuator] = {}
-    for surface in ("elevator", "aileron", "rudder"):
-        if surface in aircraft.card.inputs and surface not in (*measured, *ideal):
-            with contextlib.suppress(BadInputError):
-                out |= actuators(aircraft, [surface])
-    return out
+    servos = {
+        surface: servo_of_surface(aircraft, surface)
+        for surface in ("elevator", "aileron", "rudder")
+        if surface not in (*measured, *ideal)
+    }
+    return {surface: servo for surface, servo in servos.items() if servo is not None}
 
 
 @dataclass(frozen=True)
