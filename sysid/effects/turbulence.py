@@ -26,7 +26,7 @@ from typing import Any
 
 import numpy as np
 from cachetools import LRUCache
-from scipy.optimize import Bounds, minimize
+from scipy.optimize import Bounds, OptimizeResult, minimize
 
 from sysid.aerodynamics import LENGTHS, NX, GustStates, Steps
 from sysid.arrays import FloatArray
@@ -815,8 +815,9 @@ class _Search:
         """Return the optimum from a trial of another structure if it gains more than required."""
         if trial.states == best.states:
             return best
-        other = self.descend(segments, trial, kinds)
-        return other if other.cost < best.cost - required_gain else best
+        required_cost = best.cost - required_gain
+        other = self.descend(segments, trial, kinds, required_cost=required_cost)
+        return other if other.cost < required_cost else best
 
     def likeliest_structure(
         self, segments: Sequence[int], best: _Point, others: Sequence[_Point]
@@ -969,11 +970,13 @@ class _Search:
         point: _Point,
         kinds: Sequence[str],
         max_descents: int = _MAX_DESCENTS,
+        required_cost: float = np.inf,
     ) -> _Point:
         """Return the likeliest intensities near a point, and with ``kinds`` the sensors' noise.
 
         A quasi-Newton search in the logarithms (L-BFGS-B; Byrd, Lu, Nocedal and Zhu, SIAM J. Sci.
-        Comput. 16, 1995).
+        Comput. 16, 1995). It ends early if the last decrease in each remaining iteration would not
+        suffice for ``required_cost``.
         """
         objective = _Objective.of(self, segments, point, kinds)
         options = {
@@ -981,9 +984,19 @@ class _Search:
             "ftol": _COST_TOLERANCE / max(abs(objective.first.cost), 1.0),
             "gtol": 0.0,
         }
+        costs = [objective.first.cost]
+
+        def check_progress(intermediate_result: OptimizeResult) -> None:
+            """End a search that would not reach the required cost."""
+            costs.append(float(intermediate_result.fun))
+            remaining = max_descents + 1 - len(costs)
+            if costs[-1] - remaining * (costs[-2] - costs[-1]) > required_cost:
+                raise StopIteration
+
         optimum = minimize(
             objective,
             np.zeros(len(objective.scale)),
+            callback=check_progress,
             jac=True,
             method="L-BFGS-B",
             bounds=objective.bounds,
