@@ -44,6 +44,8 @@ class _Rows:
     """Loads and stores of an array's rows within an intrinsic."""
 
     def __init__(self, context: Any, builder: Any, kind: Any, array: Any, width: int) -> None:
+        if kind.layout != "C" or kind.dtype != types.float64:
+            raise TypeError(f"an array of type {kind}; rows need contiguous doubles")
         self._builder, self.width = builder, width
         self._data = context.make_array(kind)(context, builder, array).data
 

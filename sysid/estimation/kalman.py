@@ -26,7 +26,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from sysid.aerodynamics import Steps
+from sysid.aerodynamics import NX, Steps
 from sysid.arrays import FloatArray
 
 # Arrays on which the compiled loops of the Kalman filter work, as named tuples.
@@ -372,14 +372,8 @@ def whiten_innovations(
     n, m, size = system.H.shape
     # One pass filters the measurements and the unknown start state.
     if without_columns is None:
-        path, start_out = np.zeros((n, size)), np.zeros((n, m, 1 + START_COLUMNS))
-        _run_columns(
-            system,
-            filter_gains,
-            np.hstack([np.zeros((size, 1)), system.start]),
-            ColumnInputs.of((), {}, {}, n, m),
-            start_out,
-            path,
+        path, start_out = _whiten_states(
+            system, filter_gains, np.vstack([np.zeros(size), system.start.T])
         )
         without_columns = Whitened(
             start_out[..., 0], start_out[..., 1:], np.zeros((n, m, 0), dtype=np.float32), path
@@ -409,17 +403,8 @@ def predict_from(
 
     Also returns the whitened innovations (n, m).
     """
-    n, m, size = system.H.shape
-    path, innovations = np.zeros((n, size)), np.zeros((n, m, 1))
     # The loops propagate minus the state.
-    _run_columns(
-        system,
-        filter_gains,
-        -np.reshape(begin, (size, 1)),
-        ColumnInputs.of((), {}, {}, n, m),
-        innovations,
-        path,
-    )
+    path, innovations = _whiten_states(system, filter_gains, -np.atleast_2d(begin))
     return path, innovations[:, :, 0]
 
 
@@ -447,6 +432,25 @@ def noise_columns(
     out = np.zeros((*system.z.shape, len(noisy)))
     _loops().noise_columns(system, filter_gains, np.asarray(begin), variances, noisy, out)
     return out
+
+
+def _whiten_states(
+    system: MeasuredSystem, filter_gains: Gains, X: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Return the predicted states (n, x) and the innovations with their sensitivities (n, m, c).
+
+    Rows of ``X`` (c, x) are minus the state at the start, then others.
+    """
+    n, m, size = system.H.shape
+    path, out = np.empty((n, size)), np.zeros((n, m, len(X)))
+    if size == NX:
+        scale = 1.0 / np.sqrt(filter_gains.variance)
+        rows = np.array(X, order="C")
+        _loops().whiten_states(system, filter_gains.gain, scale, rows, out, path)
+    else:
+        columns = ColumnInputs.of((), {}, {}, n, m)
+        _run_columns(system, filter_gains, np.array(X.T, order="C"), columns, out, path)
+    return path, out
 
 
 def _run_columns(

@@ -235,6 +235,41 @@ def noise_columns(  # type: ignore[no-untyped-def]  # pragma: no cover
 
 
 @compiled
+def whiten_states(  # type: ignore[no-untyped-def]  # pragma: no cover
+    system, gain, scale, X, out, path
+):
+    """Compute the innovations of a segment and their sensitivities to states at the start.
+
+    As `whiten_columns` without inputs, but with NX states in each row of ``X`` (c, x).
+    """
+    n, m = system.is_measured.shape
+    row, Y, turned = np.empty(len(X)), np.empty_like(X), np.empty((NX, NX))
+    for k in range(n):
+        for i in range(NX):
+            path[k, i] = -X[0, i]
+        for j in range(m):
+            if system.is_measured[k, j]:
+                row[:] = 0.0
+                row[0] = system.z[k, j]
+                for i in range(NX):
+                    h = system.H[k, j, i]
+                    if h != 0.0:
+                        for c in range(len(row)):
+                            row[c] += h * X[c, i]
+                for c in range(len(row)):
+                    out[k, j, c] = row[c] * scale[k, j]
+                    _add_row(X, c, -row[c], gain, k * m + j)
+        if k < n - 1:
+            _transpose(system.phi[k], turned)
+            Y[:] = 0.0
+            for i in range(NX):
+                Y[0, i] = -system.defect[k, i]
+            for c in range(len(row)):
+                _add_product(Y, c, X, c, turned)
+            X, Y = Y, X
+
+
+@compiled
 def whiten_columns(  # type: ignore[no-untyped-def]  # pragma: no cover
     system, gain, scale, X, column_inputs, out, path
 ):

@@ -22,7 +22,13 @@ def compiled() -> dict[str, int]:
     """How many kinds of arguments each loop is compiled for."""
     result = {
         name: getattr(kalman_loops, name)
-        for name in ("filter_gains", "whiten_columns", "noise_columns", "backward")
+        for name in (
+            "filter_gains",
+            "whiten_states",
+            "whiten_columns",
+            "noise_columns",
+            "backward",
+        )
     } | loops()._asdict()
     return {name: len(loop.signatures) for name, loop in result.items()}
 
