@@ -186,6 +186,7 @@ def make_replay(
     varying = (
         STEP,
         *names,
+        *(slot for slot, _ in flight.draws),
         *fed.columns,
         *(f"#{name}" for part in WEIGHTS_PARTS for name in slots(part)),
     )
@@ -195,13 +196,24 @@ def make_replay(
         stride=stride,
     )
     # Constant folding may have removed the section that read a stream.
-    read = {name for section in program.sections for name in section.function.slots}
+    read = _refuse_draws(flight, program)
     if any(read & set(stream.columns) for stream in program.streams if stream is not fed):
         raise BadInputError(
             "the aircraft switches on JSBSim's turbulence, which replays do not support"
         )
     program = replace(program, streams=(fed,))
     return ReplayProgram(flight, program, fed.columns, names, stride)
+
+
+def _refuse_draws(flight: Flight, program: Program) -> set[str]:
+    """Return the slots that a program reads.
+
+    Raises BadInputError if random numbers are among them; noise that moves nothing is gone.
+    """
+    read = {name for section in program.sections for name in section.function.slots}
+    if any(slot in read for slot, _ in flight.draws):
+        raise BadInputError("the aircraft draws random numbers, which a replay does without")
+    return read
 
 
 def trace_replay(
@@ -228,8 +240,6 @@ def trace_replay(
         values,
         TraceRequest(names, [fed], records, any_step=True, engines_running=True, renewal=renewal),
     )
-    if flight.draws:
-        raise BadInputError("the aircraft draws random numbers, which a replay does without")
     return flight, fed, names
 
 
@@ -418,6 +428,7 @@ def make_states(
         renewed = lower_program(flight.renewed)
         retained = [name for name in stored if name in read]
         renewed = prune_slots(eliminate_dead_stores(fuse_sections(renewed), retained), retained)
+        _refuse_draws(flight, renewed)
         renewer = TieredFlyer(renewed, interpreted=False)
         read |= {*renewed.slots}
         slots = {**renewed.slots, **slots}
@@ -426,6 +437,7 @@ def make_states(
         eliminate_dead_stores(fuse_sections(lower_program(Program(sections, slots))), ordered),
         ordered,
     )
+    _refuse_draws(flight, program)
     return StateProgram(
         TieredFlyer(program, interpreted=False),
         fed.columns,

@@ -39,7 +39,6 @@ def flights(truth: Path, folder: Path, speeds: tuple[int, ...], scale: str) -> l
     return out
 
 
-# JSBSim itself replays c172x, whose systems the batch engine does not understand.
 @pytest.mark.timeout(3600)
 @pytest.mark.slow
 @pytest.mark.parametrize("name", AIRCRAFT)
