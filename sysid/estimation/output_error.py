@@ -950,7 +950,8 @@ def _may_be_local_minimum(problem: OutputErrorProblem, best: Minimum, edges: lis
     It is if the fit has not converged, if no output is explained to 70 %, or, for cheap
     simulations, if an output's residual is much larger than its white noise. For expensive
     simulations (secant mode) a descent that has not converged but explains every output to 70 % is
-    close enough: another start would end in the same valley.
+    close enough: another start would end in the same valley. So is one whose next step would stay
+    within the confidence region (in turbulence no model explains every output).
     """
     evaluation = problem.evaluate(best.theta)
     if evaluation is None or not (best.converged or problem.secant):
@@ -959,7 +960,8 @@ def _may_be_local_minimum(problem: OutputErrorProblem, best: Minimum, edges: lis
     mean_square = np.nanmean(residual**2, axis=0)
     if problem.secant:
         share = mean_square / problem.output_scale**2
-        return bool((share.min() if best.converged else share.max()) > UNEXPLAINED_SHARE)
+        is_near = best.converged or best.decrement**2 < best.theta.size
+        return bool((share.min() if is_near else share.max()) > UNEXPLAINED_SHARE)
     noise = np.array(
         [
             white_noise([problem.measured[a:b, k] for a, b in pairwise(edges)])

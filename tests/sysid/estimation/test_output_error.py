@@ -11,6 +11,7 @@ from scipy import signal
 
 from campaigns.estimators import aircraft
 from sysid import output_error
+from sysid.arrays import FloatArray
 from sysid.estimation.output_error import (
     SafeSimulation,
     first_steps,
@@ -383,3 +384,27 @@ def test_an_output_met_exactly_by_its_only_parameter_gives_no_bound():
         output_error(two_outputs, np.zeros(3), measured, names=["a", "b", "c"]).status["c"]
         == "identified"
     )
+
+
+def test_a_fit_near_its_minimum_does_not_start_again_for_an_output_without_explanation() -> None:
+    """The second output is disturbed by what no model explains, as by gusts."""
+    t = np.linspace(0.0, 5.0, 200)
+    rng = np.random.default_rng(6)
+
+    def simulate(theta: FloatArray) -> FloatArray:
+        return np.column_stack([theta[0] * np.exp(-theta[1] * t), theta[0] * t / 100.0])
+
+    measured = simulate(np.array([2.0, 0.5])) + rng.standard_normal((200, 2)) * [0.01, 1.0]
+    numbers: list[int] = []
+    fit = output_error(
+        simulate,
+        [1.8, 0.6],
+        measured,
+        differences="secant",
+        max_iterations=5,
+        tolerance=1e-12,
+        callback=lambda number, length: numbers.append(number),
+    )
+    assert not fit.converged
+    assert numbers == [1, 2, 3, 4, 5]
+    np.testing.assert_allclose(fit.theta, [2.0, 0.5], atol=4.0 * fit.std.max())
