@@ -60,7 +60,12 @@ much, forms that are not in the catalogue: a step in sideslip, a flap that no lo
 three states."""
 OUTSIDE = {"outside": "Cn:", "flap": "Cm:", "triple": "Cl:"}
 """Coefficients of the forms that are not in the catalogue."""
-SPEEDS_OF = {"sgs126": (30, 36, 33), "sgs233": (28, 33, 30), "c172x": (50, 55, 52)}
+SPEEDS_OF = {
+    "sgs126": (30, 36, 33),
+    "sgs233": (28, 33, 30),
+    "c172x": (50, 55, 52),
+    "c172p": (50, 55, 52),
+}
 """Stock aircraft of JSBSim, and the speeds of three flights [m/s]."""
 _FORCE = """<function name="aero/missing"> <product>
     <property>aero/qbar-psf</property> <property>metrics/Sw-sqft</property>
@@ -75,6 +80,11 @@ STOCK = {
     -0.02 -0.02
     0.02 0.02
     1 0.02 </tableData> </table>"""
+    ),
+    "flap": _FORCE.format(
+        """<ifthen> <gt> <sin> <product> <value>0.9</value>
+    <property>simulation/sim-time-sec</property> </product> </sin> <value>0</value> </gt>
+    <value>0.01</value> <value>0</value> </ifthen>"""
     ),
 }
 """What stock aircraft lack, as functions of the pitching moment."""

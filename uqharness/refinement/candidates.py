@@ -1,9 +1,10 @@
 """Candidate effects of given flights, and the shortest times that these resolve.
 
 Candidates are the catalogue (`sysid.effects.catalogue`) without what the model estimates already,
-and the user's own effects. A servo's rate limit and dead zone act only beyond a threshold, so no
-single slope is right: several values are tried. The value whose estimated change equals its actual
-change represents the effect until it is simulated.
+and the user's own effects. A servo's rate limit and dead zone act only beyond a threshold, and the
+lag of a servo without one is far from small, so no single slope is right: several values are tried.
+The value whose estimated change equals its actual change represents the effect until it is
+simulated.
 """
 
 from __future__ import annotations
@@ -48,6 +49,8 @@ SHARES_OF_JUMP = (0.2, 0.14, 0.1, 0.07, 0.05, 0.03)
 FASTER_SHARES = (0.75, 0.5, 0.25, 0.0)
 """Rate limits tried above the nominal one: its share in the travel time per degree; the rest is
 that of the fastest motion."""
+LAGS_S = (0.01, 0.02, 0.04, 0.08, 0.16, 0.32)
+"""Lags tried for a servo without one: a jump's small delay resembles no slow surface."""
 WIDTHS_DEG = (0.05, 0.1, 0.2, 0.4, 0.8, 1.6)
 """Widths of dead zones tried: a column has the form of a zone about as wide."""
 
@@ -199,7 +202,8 @@ def largest_step(data: FlightData, effect: Effect) -> float:
 
 
 def with_servo_limits(data: FlightData, fit: Linearisation, estimator: Estimator) -> FlightData:
-    """Return the data with the rate limit and dead zone of each servo that represent these effects.
+    """Return the data with the rate limit, lag and dead zone of each servo that represent its
+    effects.
 
     Their estimated change equals their actual change, by a fit without effects.
     """
@@ -222,6 +226,11 @@ def with_servo_limits(data: FlightData, fit: Linearisation, estimator: Estimator
                 _zone_column(surface, width): dead_zone_change(p.controls[:, k], width)
                 for width in WIDTHS_DEG
             }
+            if servo.lag is None:
+                changes |= {
+                    _lag_column(surface, x): surface_change("lag", servo, segment, k, lag_s=x)
+                    for x in LAGS_S
+                }
             inputs |= {
                 name: (-1, p.by_control[:, :, k] * change[:, None])
                 for name, change in changes.items()
@@ -230,11 +239,16 @@ def with_servo_limits(data: FlightData, fit: Linearisation, estimator: Estimator
     information = estimator.information(data, fit, columns)
     free = fit.columns[0].names
     widths, limits, zones = np.array(WIDTHS_DEG), {}, {}
+    lags = dict[str, float]()
     for surface, servo in data.servos.items():
         result = score_tests(information, free, [_zone_column(surface, w) for w in WIDTHS_DEG])
         zone = limit_of_unit_gain(widths, result.estimate / widths, result.t)
         if zone is not None:
             zones[surface] = zone
+        if servo.lag is None:
+            result = score_tests(information, free, [_lag_column(surface, x) for x in LAGS_S])
+            lag = limit_of_unit_gain(np.array(LAGS_S), result.estimate / LAGS_S, result.t)
+            lags |= {} if lag is None else {surface: lag}
         result = score_tests(information, free, [_rate_column(surface, x) for x in rates[surface]])
         speeds = np.array(rates[surface])
         gain = result.estimate / (1.0 / speeds - 1.0 / servo.rate)
@@ -246,7 +260,7 @@ def with_servo_limits(data: FlightData, fit: Linearisation, estimator: Estimator
         rate = limit_of_unit_gain(speeds[side], gain[side], result.t[side])
         if rate is not None:
             limits[surface] = (servo.rate, rate)
-    return replace(data, trial_rate_limits=limits, trial_dead_zones=zones)
+    return replace(data, trial_rate_limits=limits, trial_lags=lags, trial_dead_zones=zones)
 
 
 def _trial_rates(data: FlightData, surface: str, servo: Actuator) -> list[float]:
@@ -275,6 +289,11 @@ def _trial_rates(data: FlightData, surface: str, servo: Actuator) -> list[float]
 def _rate_column(surface: str, limit: float) -> str:
     """Return the name of a trial rate limit's column."""
     return f"{surface}@{limit:g}"
+
+
+def _lag_column(surface: str, lag_s: float) -> str:
+    """Return the name of a trial lag's column."""
+    return f"{surface}%{lag_s:g}"
 
 
 def _zone_column(surface: str, width: float) -> str:

@@ -129,6 +129,8 @@ class FlightData:
     trial_rate_limits : mapping
         Surface to the two rate limits [deg/s] whose difference is a slower servo's regressor
         while the model has no such effect.
+    trial_lags : mapping
+        Surface to the lag [s] that gives its regressor likewise, of servos without one.
     trial_dead_zones : mapping
         Surface to the width [deg] of the dead zone that gives its regressor likewise.
     lower_bounds : mapping
@@ -155,6 +157,7 @@ class FlightData:
     carriers: Mapping[str, EffectProperty] = field(default_factory=dict)
     servos: Mapping[str, Actuator] = field(default_factory=dict)
     trial_rate_limits: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    trial_lags: Mapping[str, float] = field(default_factory=dict)
     trial_dead_zones: Mapping[str, float] = field(default_factory=dict)
     lower_bounds: Mapping[str, float] = field(default_factory=dict)
     slopes: Mapping[str, float] = field(default_factory=dict)

@@ -791,7 +791,10 @@ def _surface_motion(
     if e.term.endswith(LOCAL_SLOPE):
         assert servo is not None
         limits = servo.rate, NEARBY_SHARE * servo.rate
-    return surface_change(e.term.removesuffix(LOCAL_SLOPE), servo, segment, k, limits)
+    # A model with the effect has a slope there; without, the trial lag is that slope's step.
+    is_flown = f"effect/actuator.{surface}/lag" in point.effects
+    lag_s = _LAG_S if is_flown else data.trial_lags.get(surface, _LAG_S)
+    return surface_change(e.term.removesuffix(LOCAL_SLOPE), servo, segment, k, limits, lag_s)
 
 
 def _sensor_column(
@@ -940,11 +943,12 @@ def surface_change(
     segment: Segment,
     k: int,
     limits: tuple[float, float] | None = None,
+    lag_s: float = _LAG_S,
 ) -> FloatArray:
     """Return `servo_change` (n,) of control ``k`` at a segment's rows."""
     commands = segment.at_commands()
     command = commands.controls[:, k]
-    return segment.on_rows(servo_change(kind, servo, command, commands.dt_s, limits))
+    return segment.on_rows(servo_change(kind, servo, command, commands.dt_s, limits, lag_s=lag_s))
 
 
 def servo_change(
@@ -953,6 +957,8 @@ def servo_change(
     command: FloatArray,
     h: float,
     limits: tuple[float, float] | None = None,
+    *,
+    lag_s: float = _LAG_S,
 ) -> FloatArray:
     """Return the change (n,) of a surface's position per unit of a servo's effect.
 
@@ -965,15 +971,15 @@ def servo_change(
     limits : pair of float, optional
         Rate limits [deg/s] of the finite difference; by default the servo's own and one a quarter
         below its fastest motion.
+    lag_s : float
+        Lag of the finite difference.
     """
     if servo is None:
         return np.zeros_like(command)
     step = h / runs_per_row(h)
     before = servo.follow(command, h, step)
     if kind == "lag":
-        return (
-            replace(servo, lag=servo.lag_with(_LAG_S)).follow(command, h, step) - before
-        ) / _LAG_S
+        return (replace(servo, lag=servo.lag_with(lag_s)).follow(command, h, step) - before) / lag_s
     if limits is None:
         # A limit a quarter below the fastest motion.
         fastest = float(np.abs(np.diff(before)).max()) / h

@@ -2,10 +2,16 @@
 
 from __future__ import annotations
 
+import json
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from sysid.effects.catalogue import subsystem_effects
+from sysid.record import FlightRecord
+from uqharness.cli.main import main
+from uqharness.identification.linearised import servo_change
 from uqharness.identification.linearised.flight_data import servos_of
 from uqharness.plugin import Bounds, instrument_aircraft, with_card
 from uqharness.refinement.write_xml import EffectToWrite, carrier, switch_of, write_effects
@@ -136,3 +142,43 @@ def test_a_rate_limit_without_a_lag_is_replayed_in_time(glider, tmp_path):
     r = CHANNELS.index("r_radps")
     assert np.abs(coarse - fine)[:, r].max() < 1e-3 * np.ptp(fine[:, r])
     assert start == pytest.approx(5 * 0.02 * 30.0, abs=0.05)
+
+
+def test_a_trial_lag_changes_a_jump_as_the_lag_does():
+    """The 2 ms of a servo with a lag pass between two rows: no rows resembled a lag of 0.1 s."""
+    command = np.repeat([0.0, 5.0, -5.0, 0.0], 20)
+    actual = Actuator(10.0).follow(command, 0.02, 0.005) - command
+    trial = servo_change("lag", Actuator(None), command, 0.02, lag_s=0.1)
+    np.testing.assert_allclose(0.1 * trial, actual, atol=1e-12)
+    small = servo_change("lag", Actuator(None), command, 0.02)
+    assert np.abs(np.corrcoef(small, actual)[0, 1]) < 0.7
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(3600)
+def test_three_slow_servos_are_named_at_once(glider, tmp_path):
+    """Two lags and a rate limit of an aircraft without actuators, from commands alone."""
+    truth = with_effects(
+        glider, tmp_path, elevator_lag=0.1, aileron_lag=0.08, rudder_rate_limit=1.0 / 30.0
+    )
+    paths = []
+    for k, (speed, mission) in enumerate(((30, "doublets"), (36, "3-2-1-1"), (33, "doublets"))):
+        path = tmp_path / f"{k}.parquet"
+        words = ["--mission", mission, "--speed-mps", str(speed), "--altitude-m", "500", "--noise"]
+        words += ["--duration-s", "40", "--seed", str(41 + k), "--out", str(path)]
+        assert main(["fly", str(truth.folder), *words]) == 0
+        record = FlightRecord.read(path)
+        columns = {c: v for c, v in record.columns.items() if "_pos_" not in c}
+        replace(record, columns=columns).write(path)
+        paths.append(str(path))
+    out = tmp_path / "refined"
+    words = ["--train", *paths[:2], "--test", paths[2], "--out", str(out)]
+    words += ["--no-pbox", "--no-figures", "--workers", "1"]
+    assert main(["refine", str(glider.folder), *words]) == 0
+    document = json.loads((out / "refinement.json").read_text())
+    values = {(e["subsystem"], e["term"]): e for e in document["effects"]}
+    expected = {("elevator", "lag"): 10.0, ("aileron", "lag"): 12.5, ("rudder", "rate_limit"): 30.0}
+    assert values.keys() == {(f"actuator.{surface}", term) for surface, term in expected}
+    for (surface, term), value in expected.items():
+        effect = values[f"actuator.{surface}", term]
+        assert abs(effect["value"] - value) < 3.0 * effect["std"]
