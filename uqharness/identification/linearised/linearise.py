@@ -310,10 +310,9 @@ def _make_probe(job: ProbeJob, forced: ForcedModel) -> Probe:
         )
     steps = (u - job.controls[coarse]).sum(axis=0)
     # Linear interpolation gives the mean slope about a jump: thrust is not linear in the throttle.
-    slope = (
-        to_rows(np.moveaxis(change[air : air + controls], 0, 2) / steps[:, None, :])
-        / scale[:, :, None]
-    )
+    by_control = change[air : air + controls].swapaxes(0, 1) / steps[:, :, None]
+    by_control = _as_input(by_control, by_flow, job.x, mass, coarse)
+    slope = to_rows(by_control.swapaxes(1, 2)) / scale[:, :, None]
     coefficients = (load - other) / scale
     if job.consistent:
         # Surfaces may have jumped between evaluated samples: interpolate what they do not explain.
@@ -392,8 +391,8 @@ def with_property_slopes(
     rows = [_coarse(len(p.x)) for p in probes]
     slopes, banked = _evaluate_slopes(direct_model, segments, probes, rows, values, numeric, pool)
     coarse = [
-        _as_input(p, k, of_part) / _scale_at_x(p)[k, None]
-        for p, k, of_part in zip(probes, rows, slopes, strict=True)
+        _as_input(v, p.reference.by_flow, p.x, p.mass, k) / _scale_at_x(p)[k, None]
+        for p, k, v in zip(probes, rows, slopes, strict=True)
     ]
     features = _polynomials(probes, rows)
     smooth, values_there = (
@@ -434,15 +433,20 @@ def _evaluate_slopes(
     return sets[0], sets[1:]
 
 
-def _as_input(p: Probe, rows: NDArray[np.intp], slopes: FloatArray) -> FloatArray:
-    """Return slopes (k, K, 6) of loads without what the linear system adds to an input.
-
-    It adds what the input's force changes by the rates of alpha and beta, which slopes include.
+def _as_input(
+    slopes: FloatArray,
+    by_flow: FloatArray | None,
+    x: FloatArray,
+    mass: MassProperties,
+    rows: NDArray[np.intp],
+) -> FloatArray:
+    """Return slopes (k, K, 6) of loads at rows of states ``x`` without what the linear system adds
+    to an input: by the rates of alpha and beta that the input's force changes.
     """
-    if p.reference.by_flow is None:
+    if by_flow is None:
         return slopes
     response = np.zeros((len(rows), 6, 6))
-    response[:, :, :3] = p.reference.by_flow[rows] @ flow_by_force(p.x[rows]) / p.mass.mass
+    response[:, :, :3] = by_flow[rows] @ flow_by_force(x[rows]) / mass.mass
     return np.asarray(np.linalg.solve(np.eye(6) + response, slopes.swapaxes(1, 2)).swapaxes(1, 2))
 
 

@@ -136,6 +136,8 @@ def test_lift_and_rotating_air_change_a_moment_by_alphadot_once(glider):
             )[0][0].by_property
             for x in (body, relative)
         )
+        deflected = controls + np.eye(len(CONTROLS))[CONTROLS.index("elevator")]
+        (moved,) = probe_all([ProbeJob(level, segment, body, deflected, values, False, height)])
         motion = dict(zip(STATES, body.T, strict=True))
         (loads,) = property_slopes(
             level, [states(segment, motion, controls, height)], values, names
@@ -144,6 +146,10 @@ def test_lift_and_rotating_air_change_a_moment_by_alphadot_once(glider):
     turned = np.einsum("nij,nj->ni", by_input, in_still_air[lift])
     expected = loads[:, 0, 3:] @ np.linalg.inv(probe.mass.inertia).T
     assert np.abs(expected[:, 1]).min() > 0.1
+    np.testing.assert_allclose(turned[:, 1], expected[:, 1], rtol=0.01)
+    by_elevator = probe.by_control[:, :, CONTROLS.index("elevator")]
+    turned = np.einsum("nij,nj->ni", by_input, by_elevator)
+    expected = (moved.reference.moment - probe.reference.moment) @ np.linalg.inv(probe.mass.inertia)
     np.testing.assert_allclose(turned[:, 1], expected[:, 1], rtol=0.01)
     moment, still = (c["uq/scale/Cmadot"][:, 4] for c in (in_rotating_air, in_still_air))
     np.testing.assert_allclose(moment, still, rtol=0.02)
