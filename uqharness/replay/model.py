@@ -55,6 +55,12 @@ _INTEGRATORS = tuple(
 _THIRD_ORDER = 4.0
 """JSBSim's number of Adams-Bashforth's rule of third order. One of second order would add 0.08 % to
 a mode of 8.5 rad/s in runs of 5 ms."""
+_SURFACES = {
+    "elevator": ("fcs/elevator-pos-rad",),
+    "aileron": ("fcs/left-aileron-pos-rad", "fcs/right-aileron-pos-rad"),
+    "rudder": ("fcs/rudder-pos-rad",),
+}
+"""JSBSim's positions: a card names one at most, and none where the linkage bends."""
 _ACTUATOR_DYNAMICS = ("lag", "rate_limit", "hysteresis_width", "deadband_width", "bias")
 
 
@@ -232,8 +238,8 @@ class ReplayFolder:
             tuple(controls),
             tuple(measured),
             tuple(_factor(card, name) for name in controls),
-            tuple(c for c in controls if card.inputs[c].position in lagging),
-            {c: lagging[p] for c in controls if (p := card.inputs[c].position) in lagging},
+            tuple(c for c in controls if c in lagging),
+            {c: lagging[c] for c in controls if c in lagging},
             dict(settings or {}),
             near_ground=_xml_mentions(_HEIGHT, copy),
             by_rates=_xml_mentions(_RATES, copy),
@@ -340,22 +346,21 @@ def _throws(
 
 def _strip_dynamics(
     folder: Path, main: str, card: Card, direct: Sequence[str]
-) -> tuple[dict[str | None, tuple[str, str]], tuple[str, ...]]:
+) -> tuple[dict[str, tuple[str, str]], tuple[str, ...]]:
     """Remove idle systems from the main file, and the dynamics from the actuators of ``direct``
     controls.
 
-    An actuator moves a control if its name or one of its outputs is the card's position, in
-    whatever unit. Returns position to (lag, rate limit) of actuators that keep one, and the
-    properties that the actuators' numbers refer to.
+    An actuator moves a control if its name or one of its outputs is the card's position or one of
+    JSBSim's, in whatever unit. Returns control to (lag, rate limit) of actuators that keep one, and
+    the properties that the actuators' numbers refer to.
     """
-    lagging: dict[str | None, tuple[str, str]] = {}
+    lagging: dict[str, tuple[str, str]] = {}
     number_properties: set[str] = set()
     surfaces = {
-        _without_unit(position): position
-        for entry in card.inputs.values()
-        if (position := entry.position) is not None
+        _without_unit(name): control
+        for control, entry in card.inputs.items()
+        for name in (*_SURFACES.get(control, ()), *([entry.position] if entry.position else ()))
     }
-    positions = {card.inputs[name].position for name in direct} - {None}
     for path in sorted(folder.rglob("*.xml")):
         tree = parse_xml(path)
         root = tree.getroot()
@@ -370,13 +375,13 @@ def _strip_dynamics(
                 str(actuator.get("name")),
                 *((o.text or "").strip() for o in actuator.findall("output")),
             ]
-            moved_positions = {
+            moved_controls = {
                 surfaces[_without_unit(name)]
                 for name in output_names
                 if _without_unit(name) in surfaces
             }
             # A measured or ideal surface follows its column without delay; stops are left in place.
-            if moved_positions & positions:
+            if moved_controls & {*direct}:
                 for kind in _ACTUATOR_DYNAMICS:
                     for element in actuator.findall(kind):
                         actuator.remove(element)
@@ -385,8 +390,11 @@ def _strip_dynamics(
                 # A rate limit counts in the unit of the actuator's own output.
                 texts = [(actuator.findtext(kind) or "").strip() for kind in ("lag", "rate_limit")]
                 lagging |= {
-                    position: (texts[0], texts[1] if position in output_names else "")
-                    for position in moved_positions
+                    control: (
+                        texts[0],
+                        texts[1] if card.inputs[control].position in output_names else "",
+                    )
+                    for control in moved_controls
                 }
             numbers = (
                 (e.text or "").strip()

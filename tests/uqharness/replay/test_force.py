@@ -141,3 +141,20 @@ def test_both_engines_settle_a_propeller_and_agree_on_slopes(tmp_path, monkeypat
     size = np.abs(slopes[0]).max(axis=(0, 2), keepdims=True)
     assert np.all(size > 1.0)
     assert np.abs((slopes[1] - slopes[0]) / size).max() < 2e-3
+
+
+def test_forces_do_not_depend_on_the_state_before():
+    """c172x: ailerons of unequal travel have no position in the card, but actuators with a
+    hysteresis and a rate limit, which stayed.
+    """
+    motion = dict.fromkeys(("beta_rad", "phi_rad", "p_radps", "q_radps", "r_radps"), np.zeros(2))
+    motion |= {"V_mps": np.full(2, 50.0), "alpha_rad": np.full(2, 0.05)}
+    motion |= {"theta_rad": np.full(2, 0.05)}
+    with ReplayFolder(with_card(find_aircraft("c172x")), ideal=CONTROLS) as model:
+        moments = []
+        for before_deg in (10.0, 0.0):
+            controls = np.zeros((2, 4))
+            controls[0, 1] = before_deg
+            forced = force_states(model, of_step(0.02), motion, controls, {}, HEIGHT_M[:2])
+            moments.append(forced.aero_moment[1])
+    np.testing.assert_allclose(moments[0], moments[1], rtol=1e-9)
