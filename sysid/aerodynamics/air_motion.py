@@ -416,8 +416,8 @@ class GustStates(NamedTuple):
     b : float
         Span [m].
     passing_mps : float
-        Speed at which gusts pass, where a simulation fixes it [m/s]; 0: the airspeed, as in real
-        air.
+        Speed at which gusts pass, where a simulation fixes it [m/s]; 0: the speed through the mean
+        air, as in real air (`passing_speed`).
     rotating : bool
         q_h, r_h follow from gusts down and to the right.
     turning_with : bool
@@ -466,6 +466,11 @@ class GustStates(NamedTuple):
         last = (S, W) if self.in_body else (psi, 0.0 * U) if self.in_earth else (U, S)
         q_share, r_share = self.rotating * self.q_share, self.rotating * self.r_share
         return 0.0 * U, -q_share * W, r_share * S, *last
+
+    def ahead(self, x: Any) -> Any:
+        """Return the gust ahead [m/s] at a state x of 13 elements; 0 where it is no state."""
+        U, _, _ = gust_axes(self, x, sines(x))
+        return 0.0 * U if self.in_body or self.in_earth else x[11] - U
 
     def level(self, x: Any) -> tuple[Any, Any, Any]:
         """Return p_h, q_h, r_h [rad/s], the air's rotation in heading axes, at a state x of 13

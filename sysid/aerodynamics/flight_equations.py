@@ -183,6 +183,16 @@ def turning(gusts: Any, x: Any, trig: Trig) -> tuple[Any, Any, Any]:
     return ct * ahead, sf * st * ahead + cf * right, cf * st * ahead - sf * right
 
 
+def passing_speed(gusts: Any, x: Any, trig: Trig) -> Any:
+    """Return the speed at which gusts pass [m/s]: through the mean air, not relative to the gusts,
+    where the gust ahead is a state.
+    """
+    if gusts.in_body or gusts.in_earth or gusts.passing_mps:
+        return gusts.passing_mps or x[0]
+    _, _, W = heading(x, trig)
+    return np.sqrt(x[11] * x[11] + x[12] * x[12] + W * W)
+
+
 def gust_rates(
     gusts: Any, x: Any, state_rates: tuple[Any, Any, Any, Any, Any], trig: Trig
 ) -> tuple[Any, Any, Any, Any, Any]:
@@ -193,8 +203,8 @@ def gust_rates(
     """
     dU, dS, dW = gust_axes_rates(gusts, x, state_rates, trig)
     p_h, q_h, r_h = level(gusts, x, trig)
-    T_p, _, _ = gust_lags_s(gusts, x[0])
-    passing = gusts.passing_mps or x[0]
+    passing = passing_speed(gusts, x, trig)
+    T_p, _, _ = gust_lags_s(gusts, passing)
     first, second = (dS, dW) if gusts.in_body else (dU, dS)
     if gusts.in_earth:
         first, second = heading_rate(x, trig), 0.0 * dS
@@ -572,6 +582,7 @@ def loops() -> Loops:
         level,
         rotation,
         turning,
+        passing_speed,
         gust_rates,
     )
     for part in (sines, complex_step_sines, *air, flow_rates, motion, _product):

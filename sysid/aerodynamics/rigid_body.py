@@ -92,6 +92,8 @@ class Reference:
     flow_by_wind : array (n, 2), optional
         What these rates have by wind in the simulator, which takes them from the velocity over the
         ground [rad/s].
+    ahead : array (n,), optional
+        Predicted gust ahead in heading axes [m/s].
     """
 
     dt_s: float
@@ -106,6 +108,7 @@ class Reference:
     by_flow: FloatArray | None = None
     frame_s: float = 0.0
     flow_by_wind: FloatArray | None = None
+    ahead: FloatArray | None = None
 
     @property
     def turn(self) -> FloatArray:
@@ -174,6 +177,8 @@ class RigidSlopes:
         Heading along the reference less its mean [rad].
     flow : SimulatedFlow, optional
         Rates of alpha and beta of a simulator, where forces depend on them.
+    ahead : array (n,), optional
+        As in `Reference`.
     """
 
     dt_s: float
@@ -184,6 +189,7 @@ class RigidSlopes:
     slopes: FloatArray
     turn: FloatArray
     flow: SimulatedFlow | None = None
+    ahead: FloatArray | None = None
 
     @cached_property
     def _end_turn(self) -> FloatArray:
@@ -204,7 +210,12 @@ class RigidSlopes:
             A[:], B[:] = self.slopes[:, :8, :8], self.slopes[:, :8, 14:]
             H[:, 8:], D[:, 8:] = self.slopes[:, 8:, :8], self.slopes[:, 8:, 14:]
         else:
-            loops().gust_slopes(states, gusts, self.rate, self.slopes, A, B, H, D)
+            along = states
+            if self.ahead is not None and not (gusts.in_body or gusts.in_earth):
+                # The predicted gust changes the speed at which gusts pass.
+                along = states.copy()
+                along[:, 11] += self.ahead
+            loops().gust_slopes(along, gusts, self.rate, self.slopes, A, B, H, D)
         # Gusts with axes of one azimuth are JSBSim's, and so are the rates of alpha and beta then.
         flow = self.flow if gusts is not None and gusts.in_earth else None
         to_z = None if flow is None else flow.apply(A, B, H, D)
@@ -325,7 +336,9 @@ def rigid_slopes(
     end = None
     if not reference.consistent:
         end = _runge_kutta_step(model, x, rate, bend, reference.dt_s)
-    return RigidSlopes(reference.dt_s, x, rate, y_ref, end, slopes, reference.turn, flow)
+    return RigidSlopes(
+        reference.dt_s, x, rate, y_ref, end, slopes, reference.turn, flow, reference.ahead
+    )
 
 
 def psi_rates(x: FloatArray) -> FloatArray:

@@ -68,6 +68,17 @@ class InnovationColour:
         return np.asarray(white.reshape(series.shape))
 
 
+def past_rows(innovations: FloatArray) -> FloatArray:
+    """Return the innovations (n, c) of as many rows before each as a colour has at most,
+    (n, c p); 0 before the first row.
+    """
+    n, c = innovations.shape
+    out = np.zeros((n, _ORDERS[-1], c))
+    for lag in range(1, min(_ORDERS[-1] + 1, n)):
+        out[lag:, lag - 1] = innovations[:-lag]
+    return out.reshape(n, -1)
+
+
 def innovation_colour(residuals: Sequence[FloatArray]) -> InnovationColour | None:
     """Fit a sparse autoregression of segments' residuals (n, m); None if they are white.
 

@@ -44,6 +44,44 @@ information.
 
 
 @dataclass(frozen=True)
+class PastMoments:
+    """Moments of columns and innovations with past innovations of vanes and gyros, by group.
+
+    A damping derivative and the colour of the innovations are the autoregressive and the
+    moving-average part of one process. With the colour taken to be certain, standard errors in a
+    frozen field were half of the errors. So all its weights are estimated with the parameters, in
+    each of these T channels from all P past innovations.
+
+    Attributes
+    ----------
+    gram : (G, P, P) array
+    moments : (G, T, P, K + 1) array
+        With the K columns and the innovations.
+    """
+
+    gram: FloatArray
+    moments: FloatArray
+
+    def weights(self, groups: Index) -> FloatArray:
+        """Return the weights (T, P, K + 1) that fit columns and innovations of groups best."""
+        moments = self.moments[groups].sum(axis=0)
+        T, P, size = moments.shape
+        weights = solve(self.gram[groups].sum(axis=0), np.hstack([*moments]))
+        return weights.reshape(P, T, size).swapaxes(0, 1)
+
+    def projected(self, groups: Index) -> FloatArray:
+        """Return what these weights take of the information and score, (K, K + 1)."""
+        moments = self.moments[groups].sum(axis=0)
+        return np.tensordot(moments[:, :, :-1], self.weights(groups), ([0, 1], [0, 1]))
+
+    def without_values(self, values: FloatArray) -> PastMoments:
+        """Return the moments after columns times ``values`` (K,) are added to the innovations."""
+        moments = self.moments.copy()
+        moments[..., -1] += moments[..., :-1] @ values
+        return replace(self, moments=moments)
+
+
+@dataclass(frozen=True)
 class Information:
     """Normal equations of whitened columns and innovations, by group of segments.
 
@@ -61,6 +99,8 @@ class Information:
         The filtered segments.
     stored : tuple of str or None
         Columns that ``white`` holds, in its order; None for all. Others are computed on demand.
+    past : PastMoments or None
+        Moments with past innovations if these have a colour.
     cache : dict
         Results of `corrected_estimates`, which a search needs many times.
     """
@@ -72,6 +112,7 @@ class Information:
     prior: FloatArray
     white: Sequence[WhitenedSegment]
     stored: tuple[str, ...] | None = None
+    past: PastMoments | None = None
     cache: dict[frozenset[str], dict[str, CorrectedEstimate]] = field(
         default_factory=dict, init=False
     )
@@ -90,7 +131,7 @@ class Information:
     @cached_property
     def total(self) -> tuple[FloatArray, FloatArray]:
         """Information (K, K), prior included, and score (K,) of all segments."""
-        return self.gram.sum(axis=0) + np.diag(self.prior), self.score.sum(axis=0)
+        return self._of_groups(np.arange(len(self.gram)))
 
     def of_segments(self, segments: NDArray[np.bool_] | None) -> tuple[FloatArray, FloatArray]:
         """Return information (K, K), prior included, and score (K,) of some segments.
@@ -102,7 +143,27 @@ class Information:
         some = np.unique(self.group[segments])
         if np.isin(self.group, some).sum() != np.sum(segments):
             raise ValueError("segments of one group are in no two parts")
-        return self.gram[some].sum(axis=0) + np.diag(self.prior), self.score[some].sum(axis=0)
+        return self._of_groups(some)
+
+    def _of_groups(self, groups: Index) -> tuple[FloatArray, FloatArray]:
+        """Return information (K, K), prior included, and score (K,) of groups."""
+        G, u = self.gram[groups].sum(axis=0), self.score[groups].sum(axis=0)
+        if self.past is not None:
+            inside = self.past.projected(groups)
+            G, u = G - inside[:, :-1], u - inside[:, -1]
+        return G + np.diag(self.prior), u
+
+    @cached_property
+    def _weights(self) -> FloatArray | None:
+        """Weights (T, P, K + 1) of past innovations per unit of each column and of the
+        innovations.
+        """
+        return None if self.past is None else self.past.weights(np.arange(len(self.gram)))
+
+    @property
+    def with_fixed_colour(self) -> Information:
+        """The information if the colour of the innovations is taken to be certain."""
+        return replace(self, past=None)
 
     @property
     def confirming(self) -> NDArray[np.bool_] | None:
@@ -113,10 +174,25 @@ class Information:
         return part if part.any() and not part.all() else None
 
     def series(self, w: WhitenedSegment, some: Index) -> FloatArray:
-        """Return columns (n, m, C) of a segment.
+        """Return columns (n, m, C) of a segment, past innovations projected out.
 
         Raises KeyError for a column that is neither stored nor computed on demand.
         """
+        out = self._white_columns(w, some)
+        if w.past is not None and self._weights is not None:
+            out[:, w.motion] -= np.moveaxis(w.past @ self._weights[:, :, some], 0, 1)
+        return out
+
+    def innovations(self, w: WhitenedSegment) -> FloatArray:
+        """Return the innovations (n, m) of a segment, past innovations projected out."""
+        if w.past is None or self._weights is None:
+            return w.residual
+        out = w.residual.copy()
+        out[:, w.motion] -= w.past @ self._weights[:, :, -1].T
+        return out
+
+    def _white_columns(self, w: WhitenedSegment, some: Index) -> FloatArray:
+        """Return columns (n, m, C) of a segment."""
         if self.stored is None:
             return w.columns[:, :, some].astype(np.float64)
         names = np.array([self.names[k] for k in some], dtype=str)
@@ -154,9 +230,11 @@ class Information:
         v[self.index(values)] = [*values.values()]
         used = np.flatnonzero(v)
         white = [
-            replace(w, residual=w.residual + self.series(w, used) @ v[used]) for w in self.white
+            replace(w, residual=w.residual + self._white_columns(w, used) @ v[used])
+            for w in self.white
         ]
-        return replace(self, score=self.score + self.gram @ v, white=white)
+        past = None if self.past is None else self.past.without_values(v)
+        return replace(self, score=self.score + self.gram @ v, white=white, past=past)
 
     def residual(self, delta: FloatArray) -> list[FloatArray]:
         """Return whitened innovations (n, m) of each segment after a change ``delta`` (K,) of the
@@ -164,7 +242,9 @@ class Information:
         """
         used = np.flatnonzero(delta)
         return [
-            np.where(w.is_measured, w.residual - self.series(w, used) @ delta[used], np.nan)
+            np.where(
+                w.is_measured, self.innovations(w) - self.series(w, used) @ delta[used], np.nan
+            )
             for w in self.white
         ]
 
@@ -198,6 +278,7 @@ def normal_equations(
     K, groups = len(names), np.asarray(group, dtype=np.intp)
     gram, score = np.zeros((groups.max() + 1, K, K)), np.zeros((groups.max() + 1, K))
     segments: list[WhitenedSegment] = []
+    past: PastMoments | None = None
     at = None if stored is None else [list(names).index(n) for n in stored]
     for s, w in enumerate(white):
         flat = w.columns.reshape(-1, K)
@@ -206,6 +287,14 @@ def normal_equations(
         unit = flat / np.where(scale > 0.0, scale, 1.0).astype(np.float32)
         gram[groups[s]] += (unit.T @ unit).astype(np.float64) * np.outer(scale, scale)
         score[groups[s]] += flat.astype(np.float64).T @ w.residual.ravel()
+        if w.past is not None:
+            if past is None:
+                P, T = w.past.shape[1], len(w.motion)
+                past = PastMoments(np.zeros((len(gram), P, P)), np.zeros((len(gram), T, P, K + 1)))
+            past.gram[groups[s]] += w.past.T @ w.past
+            for t, channel in enumerate(w.motion):
+                series = np.column_stack([w.columns[:, channel], w.residual[:, channel]])
+                past.moments[groups[s], t] += w.past.T @ series
         segments.append(w if at is None else replace(w, columns=w.columns[:, :, at]))
     prior_information = np.array([1.0 / prior.get(n.split("/")[0], math.inf) ** 2 for n in names])
     return Information(
@@ -216,6 +305,7 @@ def normal_equations(
         prior_information,
         segments,
         None if stored is None else tuple(stored),
+        past,
     )
 
 
@@ -351,7 +441,8 @@ def _compute_corrected(
     for w in information.white:
         columns = information.series(w, some)
         projected_columns.append(columns @ combination)
-        residuals.append(np.where(w.is_measured, w.residual - columns @ delta, np.nan))
+        innovations = information.innovations(w)
+        residuals.append(np.where(w.is_measured, innovations - columns @ delta, np.nan))
     # Projected on the others, a column has the information g alone. One without information, such
     # as a rate limit that is never reached, has no standard error.
     with np.errstate(invalid="ignore", divide="ignore"):
@@ -448,6 +539,7 @@ def least_cost(colour: InnovationColour | None, information: Information) -> flo
     """Return minus twice the log likelihood at the estimates of all columns, plus the colour's
     penalty.
     """
+    information = information.with_fixed_colour
     delta, score = information.step()[0], information.total[1]
     penalty = colour.penalty if colour else 0.0
     # Models are compared with the air of each free.

@@ -22,8 +22,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sysid.aerodynamics import Steps
+from sysid.aerodynamics.rigid_body import OUTPUTS
 from sysid.arrays import FloatArray
-from sysid.effects.coloured_innovations import InnovationColour
+from sysid.effects.coloured_innovations import InnovationColour, past_rows
 from sysid.estimation import (
     START_COLUMNS,
     Gains,
@@ -36,6 +37,7 @@ from sysid.estimation import (
     whiten_innovations,
 )
 
+_MOTION = ("alpha_rad", "beta_rad", "p_radps", "q_radps", "r_radps")
 _CACHED_COLUMNS = 24
 """Columns of a segment that are cached after computation on demand."""
 _ROWS_AT_ONCE = 256
@@ -115,6 +117,10 @@ class WhitenedSegment:
         Returns columns (n, m, C) by name, if they can be computed on demand.
     air_square : float
         What free air takes from the residual's sum of squares.
+    motion : tuple of int
+        Channels of vanes and gyros.
+    past : (n, P) array or None
+        Their innovations of the rows before, if the innovations have a colour.
     """
 
     residual: FloatArray
@@ -125,19 +131,22 @@ class WhitenedSegment:
     deviation: FloatArray
     more: Callable[[Sequence[str]], NDArray[np.float32]] | None = None
     air_square: float = 0.0
+    motion: tuple[int, ...] = ()
+    past: FloatArray | None = None
 
 
 @dataclass(frozen=True)
 class FilteredSegment:
     """A filtered segment: the system, the filter's gains, and innovations without columns.
 
-    air (n, m, A): changes of these innovations in other airs
+    air (n, m, A): changes of these innovations in other airs; motion: channels of vanes and gyros
     """
 
     system: MeasuredSystem
     gains: Gains
     innovations_only: Whitened
     air: FloatArray | None = None
+    motion: tuple[int, ...] = ()
 
     def path_from(self, start: FloatArray) -> FloatArray:
         """Return predicted states (n, x) from the deviation ``start`` (8,) of the start state, both
@@ -170,6 +179,7 @@ def filter_segments(
 
     Raises LinAlgError where no filter exists.
     """
+    motion = tuple(k for k, row in enumerate(rows) if OUTPUTS[row] in _MOTION)
     for k, (system, z) in enumerate(zip(steps, measured, strict=True)):
         measured_system = MeasuredSystem.of(system, z, rows)
         filter_gains = gains(
@@ -178,7 +188,10 @@ def filter_segments(
             None if process is None else (process.noise[k], process.begin[k]),
         )
         yield FilteredSegment(
-            measured_system, filter_gains, whiten_innovations(measured_system, filter_gains)
+            measured_system,
+            filter_gains,
+            whiten_innovations(measured_system, filter_gains),
+            motion=motion,
         )
 
 
@@ -364,6 +377,10 @@ def _whiten_segment(
     )
     remainder, inside = _project_start(_without_colour(colour, changes), start.q)
     fitted = np.column_stack([start.state, -_solved(start.r, inside)[:START_COLUMNS]])
+    past = None
+    if colour is not None:
+        plain, motion = one.innovations_only, list(one.motion)
+        past = past_rows((plain.innovations - plain.starts @ start.state)[:, motion])
     return WhitenedSegment(
         start.residual,
         remainder,
@@ -372,6 +389,8 @@ def _whiten_segment(
         is_measured,
         deviation,
         air_square=start.air_square,
+        motion=one.motion,
+        past=past,
     )
 
 

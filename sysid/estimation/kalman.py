@@ -101,11 +101,14 @@ class Gains(NamedTuple):
         Variance of its innovation; 1 where not measured.
     prior_variance : array (n, m)
         The same before any channel of the sample; 1 where not measured.
+    state_variance : array (n, x)
+        Variances of the predicted states, computed with ``prior_variance``; otherwise 0.
     """
 
     gain: FloatArray
     variance: FloatArray
     prior_variance: FloatArray
+    state_variance: FloatArray
 
     @property
     def logdet(self) -> float:
@@ -251,7 +254,7 @@ def gains(
         Variances of the states' noise per second, and of the air states at the start. None for calm
         air: the state is not corrected, which is output error.
     with_prior_variance : bool
-        Compute ``Gains.prior_variance`` as well.
+        Compute ``Gains.prior_variance`` and ``Gains.state_variance`` as well.
 
     Returns
     -------
@@ -265,7 +268,8 @@ def gains(
     """
     if air is None:
         variance = np.where(system.is_measured, noise**2, 1.0)
-        return Gains(np.zeros(system.H.shape), variance, variance)
+        n, _, states = system.H.shape
+        return Gains(np.zeros(system.H.shape), variance, variance, np.zeros((n, states)))
     variances, begin = air
     # A search may try negative variances.
     if min(variances.min(), begin.min()) < 0.0:

@@ -31,6 +31,7 @@ def filter_gains(  # type: ignore[no-untyped-def]  # pragma: no cover
     """
     n, m = system.is_measured.shape
     gain, variance, prior_variance = np.zeros((n, m, NX)), np.ones((n, m)), np.ones((n, m))
+    state_variance = np.zeros((n, NX))
     # Rows of V are columns of U.
     V, D, f = np.eye(NX), begin.copy(), np.empty(NX)
     W, P, halves = np.empty((NX, NX)), np.empty((NX, NX)), np.empty((NX, NX))
@@ -43,6 +44,9 @@ def filter_gains(  # type: ignore[no-untyped-def]  # pragma: no cover
                     prior_variance[k, j] = r[j]
                     for i in range(NX):
                         prior_variance[k, j] += D[i] * f[i] * f[i]
+            for c in range(NX):
+                for i in range(NX):
+                    state_variance[k, i] += D[c] * V[c, i] * V[c, i]
         for j in range(m):
             if system.is_measured[k, j]:
                 _project(V, system.H[k, j], f)
@@ -58,7 +62,7 @@ def filter_gains(  # type: ignore[no-untyped-def]  # pragma: no cover
             _half_step(turned, work, halves)
             _add_process_noise(turned, halves, q, system.dt_s, work, P)
             _factor(P, V, D)
-    return gain, variance, prior_variance
+    return gain, variance, prior_variance, state_variance
 
 
 @compiled

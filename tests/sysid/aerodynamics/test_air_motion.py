@@ -208,7 +208,9 @@ def transport(u, v, w, passing=0.0, psi=None):
         trig = sines(x)
         rated = (*flow_rates(x, sensed, trig, 0.0), dphi[k], dtheta[k])
         x[8:] = x[8:] + GUST_STATES_DT * np.array(states.rates(x, rated))
-        speed = passing or x[0]
+        # Gusts of heading axes pass at the speed through the mean air and the gust down, which is
+        # no state; those of JSBSim at V.
+        speed = passing or (np.hypot(V0, w[k]) if psi is None else x[0])
         q += (-q * GUST_STATES_DT * speed - (w[k + 1] - w[k])) / (
             4.0 * GUST_STATES_B / np.pi
         )  # 3.7.5: q = -dw/dx behind a lag

@@ -288,9 +288,25 @@ def test_what_python_calls_is_what_is_compiled() -> None:
         "level",
         "rotation",
         "turning",
+        "passing_speed",
         "gust_rates",
         "flow_rates",
         "motion",
         "_product",
     ):
         assert getattr(equations, name).__module__ == equations.__name__
+
+
+def test_a_gust_ahead_does_not_change_the_speed_at_which_gusts_pass():
+    """At 22 m/s through the mean air the vane reads 19 in a gust of 3 from behind."""
+    x = np.tile([19.0, 0.05, 0.0, 0.0, 0.0, 0.0, 0.0, 0.05], (3, 1))
+    load, slopes = np.zeros((3, 3)), np.zeros((3, 6, 6))
+    still = Reference(0.02, x, load, load, slopes, np.full(3, 220.0), np.zeros(3), False)
+    mass = MassProperties(20.0, np.eye(3), 2.0, 0.5, 3.66)
+    gusts = GustStates(3.66)
+    decay = [
+        rigid_slopes(replace(still, ahead=ahead), mass).with_gusts(gusts).phi[0, 9, 9]
+        for ahead in (None, np.full(3, 3.0))
+    ]
+    length = 4.0 / np.pi * 3.66
+    np.testing.assert_allclose(np.log(decay), [-0.02 * 19.0 / length, -0.02 * 22.0 / length])

@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from sysid.aerodynamics.rigid_body import NX, OUTPUTS
-from sysid.effects.coloured_innovations import innovation_colour
+from sysid.effects.coloured_innovations import innovation_colour, past_rows
 from sysid.effects.information import fit_colour, likeliest_colour, normal_equations, score_tests
 from sysid.effects.prediction import Columns, LazyColumns, filter_segments, iterate_whitened
 from tests.helpers.linear_systems import system
+from tests.helpers.whitened import whitened
 
 
 def coloured_series(rng, n):
@@ -94,3 +97,35 @@ def test_the_colour_does_not_absorb_an_effect(size):
     assert abs(t_fitted[0]) < 0.5 * expected
     assert t[0] == pytest.approx(expected, rel=0.1)
     assert abs(t[1]) < 0.3 * t[0]
+
+
+def test_beside_a_colour_all_its_weights_are_estimated():
+    """Estimates and errors are those of least squares with past innovations as further columns."""
+    rng, n, channels = np.random.default_rng(5), 300, (0, 2)
+    segments, designs = [], []
+    for _ in range(2):
+        past = past_rows(rng.standard_normal((n, 1)))
+        columns = rng.standard_normal((n, 3, 2))
+        columns[:, 0, 0] += 2.0 * past[:, 0]
+        design = np.zeros((n, 3, 2 + len(channels) * past.shape[1]))
+        design[:, :, :2] = columns
+        for t, channel in enumerate(channels):
+            first = 2 + t * past.shape[1]
+            design[:, channel, first : first + past.shape[1]] = past
+        residual = rng.standard_normal((n, 3)) + columns @ [0.3, -0.2]
+        residual[:, 0] -= 0.4 * past[:, 0]
+        segments.append(replace(whitened(residual, columns), motion=channels, past=past))
+        designs.append((design.reshape(-1, design.shape[2]), residual.ravel()))
+    X, y = (np.concatenate(parts) for parts in zip(*designs, strict=True))
+    expected = np.linalg.lstsq(X, y, rcond=None)[0]
+    covariance = np.linalg.inv(X.T @ X)[:2, :2]
+    information = normal_equations(segments, ["a", "b"], [0, 1], {})
+    np.testing.assert_allclose(information.step()[0], expected[:2], atol=1e-4)
+    np.testing.assert_allclose(np.linalg.inv(information.total[0]), covariance, rtol=1e-3)
+    (remainder, _) = information.residual(information.step()[0])
+    np.testing.assert_allclose(remainder.ravel(), y[: 3 * n] - X[: 3 * n] @ expected, atol=1e-4)
+    # With the colour taken to be certain, the first column has the error of a longer one.
+    certain = np.linalg.inv(information.with_fixed_colour.total[0])
+    assert certain[0, 0] < 0.7 * covariance[0, 0]
+    half = information.without_values({"a": 0.1})
+    np.testing.assert_allclose(half.step()[0], expected[:2] + np.array([0.1, 0.0]), atol=1e-4)

@@ -65,6 +65,8 @@ SLOPE_ROWS = 4
 _STEPS = np.array([0.1, 1e-3, 1e-3, 0.01, 0.01, 0.01])
 """Steps of AIR by which slopes are read."""
 _CONTROL_STEP = 0.1
+_LEAST_VARIANCE = 1e-12
+"""Variance [rad2] below which loads have no curvature beyond rounding."""
 _BANKED = (0.5 * np.pi, np.pi)
 """Added bank angles [rad] from which the loads' slopes with the rates of alpha and beta are
 read.
@@ -111,6 +113,8 @@ class Probe:
         Property to (n, 6) change of CX to Cn per unit of it.
     jumped : (n, c) array or None
         Jump of each control at each row; None where none jumps.
+    variance, ahead : (n, 2) and (n,) array or None
+        Variances of alpha and beta [rad2], and the gust ahead [m/s], if ``body`` are predictions.
     """
 
     reference: Reference
@@ -128,6 +132,8 @@ class Probe:
     flow_rate: FloatArray
     by_property: Mapping[str, FloatArray] = field(default_factory=dict)
     jumped: FloatArray | None = None
+    variance: FloatArray | None = None
+    ahead: FloatArray | None = None
 
     @property
     def scale(self) -> FloatArray:
@@ -1107,6 +1113,57 @@ def load_deviations(
         )
         middle, end = np.split(load_between, 2)
         out.append(np.stack([middle - 0.5 * (load[:-1] + load[1:]), end - load[1:]]))
+    return out
+
+
+def with_mean_loads(
+    direct_model: ReplayModel,
+    data: FlightData,
+    trajectory: Trajectory,
+    probes: Sequence[Probe],
+    variances: Sequence[FloatArray],
+    pool: Processes,
+) -> list[Probe]:
+    """Return probes whose reference has the mean load over errors of predicted alpha and beta.
+
+    Where the load is curved, the load at the mean state is not the mean load: in gusts of 30 kt at
+    a height of 10 m, CX_0 contained CX_alpha2 times the variance of alpha, eight standard errors.
+    The load is averaged over one standard deviation up and down (``variances`` (n, 2)). Slopes are
+    read at some rows; the curvature moves them to the rows between.
+    """
+    angles = [STATES.index(name) for name in ("alpha_rad", "beta_rad")]
+    requests, coarse = [], [_coarse(len(p.x)) for p in probes]
+    for s, p, height, rows, variance in zip(
+        data.segments, probes, trajectory.height, coarse, variances, strict=True
+    ):
+        x = np.repeat(p.reference.x[None, rows], 4, axis=0)
+        for k, angle in enumerate(angles):
+            x[2 * k : 2 * k + 2, :, angle] += np.outer([1.0, -1.0], np.sqrt(variance[rows, k]))
+        motion = dict(zip(STATES, x.reshape(-1, len(STATES)).T, strict=True))
+        h = altitudes(direct_model, s, np.tile(height[rows], 4))
+        requests.append(SegmentStates(s, motion, np.tile(p.controls[rows], (4, 1)), h))
+    loads = force_all(direct_model, requests, data.properties(trajectory.point), pool)
+    out = []
+    for p, rows, forced, variance in zip(probes, coarse, loads, variances, strict=True):
+        moved_load = np.hstack(
+            [forced.aero_force + forced.other_force, forced.aero_moment + forced.other_moment]
+        ).reshape(2, 2, len(rows), 6)
+        load = np.hstack([p.reference.force, p.reference.moment])
+        # Half the second difference in alpha and in beta, (rows, 6, 2).
+        bend = np.moveaxis(moved_load.mean(axis=1) - load[rows], 0, 2)
+        load = load + _interpolate(rows, len(p.x), bend.sum(axis=2))
+        last = np.searchsorted(rows, np.arange(len(p.x)), side="right") - 1
+        # Across a kink of a table the curvature holds for the averaged range alone.
+        reach = 2.0 * np.sqrt(variance[rows[last]])
+        moved = np.clip((p.reference.x - p.reference.x[rows[last]])[:, angles], -reach, reach)
+        curvature = bend / np.maximum(0.5 * variance[rows, None, :], _LEAST_VARIANCE)
+        slopes = p.reference.slopes.copy()
+        slopes[:, :, angles] += curvature[last] * moved[:, None]
+        # The slope with V is twice the load over V.
+        coefficients = p.coefficients - p.coefficients[rows[last]]
+        slopes[:, :, 0] += 2.0 * coefficients * p.scale / p.reference.x[:, :1]
+        reference = replace(p.reference, force=load[:, :3], moment=load[:, 3:], slopes=slopes)
+        out.append(replace(p, reference=reference))
     return out
 
 

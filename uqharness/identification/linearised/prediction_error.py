@@ -61,6 +61,7 @@ from uqharness.identification.linearised.linearise import (
     vane_offset_m,
     vane_shift,
     with_jumping_flights,
+    with_mean_loads,
     with_property_slopes,
     with_sensor_errors,
     without_sensor_errors,
@@ -92,6 +93,7 @@ _KINDS = {
 """Kind of sensor of each channel, by the channel's name without unit."""
 _SMOOTH_HZ = {"V_mps": 2.0}
 _OVER_GROUND = ("psi_rad", "vn_mps", "ve_mps", "vd_mps")
+_ANGLES = [X_STATES.index(name) for name in ("alpha_rad", "beta_rad")]
 AIR_SEARCH_LENGTH, AIR_SEARCH_ITERATION = 5.0, 5
 """Length of a step, in standard errors, below which the air is estimated again, and the iteration
 in which it is in any case.
@@ -110,6 +112,18 @@ the innovations' sensitivity is found.
 """
 TOLERANCE, ITERATIONS = 0.2, 10
 """Length of a step, in standard errors, that ends the iteration, and the most iterations."""
+
+
+@dataclass(frozen=True)
+class PredictedStates:
+    """States (n, 8) of a segment predicted by the filter.
+
+    ``variance`` (n, 2) and ``ahead`` (n,) as in `Probe`.
+    """
+
+    x: FloatArray
+    variance: FloatArray | None
+    ahead: FloatArray | None
 
 
 @dataclass(frozen=True)
@@ -176,10 +190,10 @@ def predict(
     data: FlightData,
     point: ModelState,
     pool: Processes,
-    path: Sequence[FloatArray] | None = None,
+    path: Sequence[PredictedStates] | None = None,
 ) -> tuple[Trajectory, list[Probe]]:
-    """Probe the model along the measured flight, or along ``path`` ((n, 8) per segment)."""
-    x = measured_states(data, point) if path is None else list(path)
+    """Probe the model along the measured flight, or along the predicted ``path``."""
+    x = measured_states(data, point) if path is None else [states.x for states in path]
     height = [np.array(c["h_m"], dtype=float) for c in data.channels]
     trajectory = Trajectory(
         point,
@@ -200,10 +214,21 @@ def predict(
         strict=True,
     )
     winds = _flows_by_wind(data, x)
-    return trajectory, [
+    probes = [
         replace(p, reference=replace(p.reference, bend=b, flow_by_wind=w), jumped=control_jumps(a))
         for (p, b, a), w in zip(curved, winds, strict=True)
     ]
+    if path is not None:
+        variances = [states.variance for states in path if states.variance is not None]
+        probes = [
+            replace(p, reference=replace(p.reference, ahead=states.ahead))
+            for p, states in zip(
+                with_mean_loads(direct_model, data, trajectory, probes, variances, pool),
+                path,
+                strict=True,
+            )
+        ]
+    return trajectory, probes
 
 
 def _flows_by_wind(data: FlightData, path: Sequence[FloatArray]) -> list[FloatArray | None]:
@@ -371,7 +396,7 @@ class _Iterate:
     point : ModelState
     turbulence : TurbulenceModel or None
         The air; None before it is first estimated.
-    path : list of (n, 8) array or None
+    path : list of PredictedStates or None
         Predicted states about which the model is linearised; None for the measured ones.
     analytic : tuple of str or None
         As in `with_property_slopes`.
@@ -388,7 +413,7 @@ class _Iterate:
     data: FlightData
     point: ModelState
     turbulence: TurbulenceModel | None
-    path: list[FloatArray] | None = None
+    path: list[PredictedStates] | None = None
     analytic: tuple[str, ...] | None = None
     step: FloatArray | None = None
     share: float = 1.0
@@ -488,12 +513,13 @@ def _advance(
     names = result.fit.columns[0].names
     moves = dict(zip(names, (share * step).tolist(), strict=True))
     point = apply_step(result.data, at.point, moves, limits)
-    path = [p.body for p in result.fit.probes]
+    probes = result.fit.probes
+    path = with_equal_readings(result.data, [p.body for p in probes], at.point, point)
     return _Iterate(
         result.data,
         point,
         result.turbulence,
-        with_equal_readings(result.data, path, at.point, point),
+        [PredictedStates(x, p.variance, p.ahead) for x, p in zip(path, probes, strict=True)],
         result.fit.analytic,
         step,
         share,
@@ -819,13 +845,8 @@ def at_predictions(
     at three quarters of its value.
     """
     out, outputs = [], []
-    for p, s, d, states in zip(
-        probes,
-        steps,
-        (one.innovations_only.path for one in followed),
-        turbulence.states,
-        strict=True,
-    ):
+    for p, s, one, states in zip(probes, steps, followed, turbulence.states, strict=True):
+        d = one.innovations_only.path
         x = with_gust_states(p.reference.x, states, p.reference.turn) + d
         air = x[:, 3:6] - np.column_stack(states.rotation(x.T))
         full_rates = rates(p.reference, p.mass, x, gusts=states)
@@ -844,6 +865,8 @@ def at_predictions(
                 x=relative,
                 rate=full_rates[:, :8],
                 flow_rate=flow if wind is None else flow + wind,
+                variance=one.gains.state_variance[:, _ANGLES],
+                ahead=states.ahead(x.T),
             )
         )
         outputs.append(

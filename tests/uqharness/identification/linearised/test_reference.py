@@ -20,6 +20,7 @@ from uqharness.identification.linearised.linearise import (
     ProbeJob,
     analytic_terms,
     probe_all,
+    with_mean_loads,
     with_property_slopes,
 )
 from uqharness.replay import (
@@ -153,3 +154,22 @@ def test_lift_and_rotating_air_change_a_moment_by_alphadot_once(glider):
     np.testing.assert_allclose(turned[:, 1], expected[:, 1], rtol=0.01)
     moment, still = (c["uq/scale/Cmadot"][:, 4] for c in (in_rotating_air, in_still_air))
     np.testing.assert_allclose(moment, still, rtol=0.02)
+
+
+def test_the_mean_load_contains_the_curvature_of_the_load():
+    """CX is a parabola of alpha: its mean exceeds that at the mean by CX_alpha2 var alpha."""
+    espaaro, n, std = find_aircraft("espaaro"), 9, 0.03
+    x = np.tile([22.0, 0.05, 0.01, 0.1, 0.2, -0.1, 0.0, 0.05], (n, 1))
+    controls, height = np.full((n, len(CONTROLS)), 0.05), np.full(n, 200.0)
+    segment = Segment("test", "test", 0.02 * np.arange(n), controls, np.zeros(9), 200.0, 200.0)
+    values = {"aero/CX_alpha2": 1.86}
+    with ReplayFolder(espaaro, ideal=CONTROLS) as level:
+        (probe,) = probe_all([ProbeJob(level, segment, x, controls, values, False, height)])
+        data = SimpleNamespace(segments=[segment], properties=lambda point: values)
+        along = SimpleNamespace(height=[height], point=None)
+        variances = [np.tile([std**2, 0.0], (n, 1))]
+        (mean,) = with_mean_loads(level, data, along, [probe], variances, SERIAL)  # type: ignore[arg-type]
+    change = mean.reference.force - probe.reference.force
+    expected = probe.scale[:, 0] * 1.86 * std**2
+    np.testing.assert_allclose(change[:, 0], expected, rtol=1e-4)
+    np.testing.assert_allclose(change[:, 1:], 0.0, atol=1e-4 * expected.max())
