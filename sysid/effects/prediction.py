@@ -199,23 +199,23 @@ def with_air(
     followed: Iterable[FilteredSegment],
     process: Process,
     noise: FloatArray,
-    airs: Sequence[Sequence[MeasuredSystem]] = (),
+    airs: Callable[[int], Iterable[MeasuredSystem]] = lambda _: (),
 ) -> Iterator[FilteredSegment]:
     """Add the changes of each segment's innovations with the air.
 
-    These are the changes with the logarithm of each state's noise, and those to other ``airs``
-    that are nearly the same, given as the systems of all segments.
+    These are the changes with the logarithm of each state's noise, and those to other airs that are
+    nearly the same; ``airs`` returns the systems of a segment there.
     """
     for k, one in enumerate(followed):
         begin = one.system.start @ _Start.of(one, None).state
         columns = [noise_columns(begin, one.system, one.gains, process.noise[k])]
         begin_columns = predict_from(begin, one.system, one.gains)[1]
-        for systems in airs:
+        for system in airs(k):
             air = process.noise[k], process.begin[k]
-            other = gains(systems[k], noise, air, with_prior_variance=False)
+            other = gains(system, noise, air, with_prior_variance=False)
             # In units of the same deviations: what these are says nothing of the states.
             scale = np.sqrt(other.variance / one.gains.variance)
-            change = scale * predict_from(begin, systems[k], other)[1] - begin_columns
+            change = scale * predict_from(begin, system, other)[1] - begin_columns
             columns.append(change[:, :, None])
         yield replace(one, air=np.concatenate(columns, axis=2))
 

@@ -9,7 +9,7 @@ Gauss-Newton step of the parameters.
 from __future__ import annotations
 
 from collections import OrderedDict
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -791,19 +791,22 @@ def _with_free_air(
     the air's roll, pitch and yaw, no other azimuth of its axes, and no mean gust ahead would do.
     """
     rows, process = linear.data.output_rows, turbulence.process
-    airs = []
     names = ["p_length", "q_length", "r_length"]
     names += ["azimuth_rad"] if turbulence.states[0].in_earth else []
     names += ["ahead_mps"] if turbulence.states[0].in_body else []
-    for name in names:
-        nearby = [
-            s._replace(**{name: value + NEARBY * (value if name.endswith("length") else 1.0)})
-            for s, value in ((s, getattr(s, name)) for s in turbulence.states)
-        ]
-        pairs = zip(linear.all(nearby), linear.measured, strict=True)
-        airs.append([MeasuredSystem.of(s, z, rows) for s, z in pairs])
+
+    def nearby_airs(k: int) -> Iterator[MeasuredSystem]:
+        """Yield the systems of a segment one by one, to save memory."""
+        air = turbulence.states[k]
+        for name in names:
+            value = getattr(air, name)
+            change = NEARBY * (value if name.endswith("length") else 1.0)
+            linear.systems.clear()
+            (system,) = linear([k], [air._replace(**{name: value + change})])
+            yield MeasuredSystem.of(system, linear.measured[k], rows)
+
     followed = filter_segments(steps, linear.measured, rows, noise, process)
-    return [*with_air(followed, process, noise, airs)]
+    return [*with_air(followed, process, noise, nearby_airs)]
 
 
 def mean_heading(channels: Mapping[str, FloatArray]) -> float:
