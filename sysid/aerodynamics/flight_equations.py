@@ -518,43 +518,82 @@ def _product(X, Y, Z):  # type: ignore[no-untyped-def]
                     Z[i, c] += a * Y[k, c]
 
 
-def _discretise(A, B, h, phi, g0, g1):  # type: ignore[no-untyped-def]
-    """Compute transitions (n - 1, x, x) and input matrices at both ends of a step (n - 1, x, 6).
+def _discretise(A, B, h, phi, half_columns, g0, g1):  # type: ignore[no-untyped-def]
+    """Compute transitions (n - 1, x, x) over a step h and over half of it, the latter transposed,
+    and input matrices at both ends of a step (n - 1, x, 6).
 
-    X = A h, with A the mean of a step's ends. With phi_2 = 1/2! + X/3! + X^2/4! + ...,
+    With A the mean of a step's ends, and inputs that are linear over the step. A part H of the step
+    of X = A H has, with phi_2 = 1/2! + X/3! + X^2/4! and phi_1 = 1 + X phi_2,
 
-        phi_1 = 1 + X phi_2,   exp X = 1 + X phi_1,   G1 = h phi_2 B,   G0 = h (phi_1 - phi_2) B
+        F = 1 + X phi_1,   E1 = H phi_2,   E0 = H (phi_1 - phi_2),
 
-    for inputs that are linear over the step. phi_2 is a series by Horner's rule.
+    E0 and E1 for inputs at its ends. Two parts make one of twice the length (scaling and squaring):
+
+        F F,   E0 of both = F (E0 + E1/2) + E0/2,   E1 of both = F E1/2 + E0/2 + E1
     """
     size = phi.shape[1]
-    X, P, Q = np.empty((size, size)), np.empty((size, size)), np.empty((size, size))
+    X, P, Q, F = (
+        np.empty((size, size)),
+        np.empty((size, size)),
+        np.empty((size, size)),
+        np.empty((size, size)),
+    )
     for k in range(len(phi)):
+        fastest = 0.0
         for i in range(size):
             for j in range(size):
-                X[i, j] = 0.5 * h * (A[k, i, j] + A[k + 1, i, j])
-                P[i, j] = X[i, j] / 120.0
-            P[i, i] += 1.0 / 24.0
+                X[i, j] = 0.5 * (A[k, i, j] + A[k + 1, i, j])
+            for j in range(i + 1):
+                fastest = max(fastest, abs(X[i, j] * X[j, i]))
+        # The terms left out are X^5/5!, at most 3e-4.
+        doublings = 1
+        while 0.5**doublings * h * np.sqrt(fastest) > 0.5:
+            doublings += 1
+        part = 0.5**doublings * h
+        for i in range(size):
+            for j in range(size):
+                X[i, j] *= part
+                P[i, j] = X[i, j] / 24.0
+            P[i, i] += 1.0 / 6.0
         _product(X, P, Q)
         for i in range(size):
-            Q[i, i] += 1.0 / 6.0
+            Q[i, i] += 0.5
         _product(X, Q, P)
         for i in range(size):
-            P[i, i] += 0.5
-        _product(X, P, Q)
+            P[i, i] += 1.0
+        _product(X, P, F)
         for i in range(size):
-            Q[i, i] += 1.0
-        _product(X, Q, phi[k])
+            F[i, i] += 1.0
+            for j in range(size):
+                P[i, j] = part * (P[i, j] - Q[i, j])
+                Q[i, j] *= part
+        # From here P is E0 and Q is E1.
+        for _ in range(doublings):
+            for i in range(size):
+                for j in range(size):
+                    half_columns[k, j, i] = F[i, j]
+                    X[i, j] = P[i, j] + 0.5 * Q[i, j]
+            _product(F, X, phi[k])
+            for i in range(size):
+                for j in range(size):
+                    X[i, j] = 0.5 * Q[i, j]
+                    Q[i, j] += 0.5 * P[i, j]
+                    P[i, j] = phi[k, i, j] + 0.5 * P[i, j]
+            _product(F, X, phi[k])
+            for i in range(size):
+                for j in range(size):
+                    Q[i, j] += phi[k, i, j]
+                    X[i, j] = F[i, j]
+            _product(X, X, F)
         for i in range(size):
-            phi[k, i, i] += 1.0
+            for j in range(size):
+                phi[k, i, j] = F[i, j]
             for c in range(6):
                 g0[k, i, c] = g1[k, i, c] = 0.0
             for j in range(size):
-                end = h * P[i, j]
-                first = h * Q[i, j] - end
                 for c in range(6):
-                    g0[k, i, c] += first * B[k, j, c]
-                    g1[k, i, c] += end * B[k + 1, j, c]
+                    g0[k, i, c] += P[i, j] * B[k, j, c]
+                    g1[k, i, c] += Q[i, j] * B[k + 1, j, c]
 
 
 class Loops(NamedTuple):

@@ -128,6 +128,8 @@ class Steps:
         Step [s].
     phi : array (n - 1, x, x)
         Transition matrices.
+    half_columns : array (n - 1, x, x)
+        Transition matrices over half a step, transposed.
     g0, g1 : array (n - 1, x, 6)
         Effect of extra coefficients at the start and at the end of a step.
     defect : array (n - 1, x)
@@ -145,6 +147,7 @@ class Steps:
 
     dt_s: float
     phi: FloatArray
+    half_columns: FloatArray
     g0: FloatArray
     g1: FloatArray
     defect: FloatArray
@@ -219,8 +222,9 @@ class RigidSlopes:
         # Gusts with axes of one azimuth are JSBSim's, and so are the rates of alpha and beta then.
         flow = self.flow if gusts is not None and gusts.in_earth else None
         to_z = None if flow is None else flow.apply(A, B, H, D)
-        phi, (g0, g1) = np.empty((n - 1, size, size)), np.zeros((2, n - 1, size, 6))
-        loops().discretise(A, B, self.dt_s, phi, g0, g1)
+        phi, half_columns = np.empty((2, n - 1, size, size))
+        g0, g1 = np.empty((2, n - 1, size, 6))
+        loops().discretise(A, B, self.dt_s, phi, half_columns, g0, g1)
         # Still air stays still over a step of the model.
         defect = np.zeros((n - 1, size))
         if self.end is not None:
@@ -237,7 +241,7 @@ class RigidSlopes:
             defect[:, :8] += 0.5 * self.dt_s * (by_wind[:-1, :8] + by_wind[1:, :8])
             defect[:, :8] -= np.einsum("nij,nj->ni", flow.gain[1:], flow.change)
             y_ref[:, 8:] += by_wind[:, 8:]
-        return Steps(self.dt_s, phi, g0, g1, defect, H, D, y_ref, start)
+        return Steps(self.dt_s, phi, half_columns, g0, g1, defect, H, D, y_ref, start)
 
     def _turned_by_mean_gust(self, states: FloatArray, gusts: GustStates) -> FloatArray:
         """Return the change (n - 1, 13) of the states over each step by a mean gust that turns with
@@ -335,10 +339,19 @@ def rigid_slopes(
     # A measured reference does not satisfy the equations: its defect is one integration step.
     end = None
     if not reference.consistent:
-        end = _runge_kutta_step(model, x, rate, bend, reference.dt_s)
+        end = _runge_kutta(model, x, bend, reference.dt_s, _steps_of(slopes, reference.dt_s))
     return RigidSlopes(
         reference.dt_s, x, rate, y_ref, end, slopes, reference.turn, flow, reference.ahead
     )
+
+
+def _steps_of(slopes: FloatArray, dt_s: float) -> int:
+    """Return into how many integration steps to divide a step: each at most half the time constant
+    of the fastest motion, at which the error of a step is 3e-4.
+    """
+    A = slopes[:, :8, :8]
+    fastest = np.sqrt(np.abs(A * A.transpose(0, 2, 1)).max())
+    return max(1, int(np.ceil(2.0 * dt_s * fastest)))
 
 
 def psi_rates(x: FloatArray) -> FloatArray:
@@ -499,15 +512,24 @@ class _RigidBody:
         return rate, outputs
 
 
-def _runge_kutta_step(
-    model: _RigidBody, x: FloatArray, rate: FloatArray, bend: FloatArray, h: float
+def _runge_kutta(
+    model: _RigidBody, x: FloatArray, bend: FloatArray, h: float, count: int
 ) -> FloatArray:
-    """Take one Runge-Kutta step from every sample but the last, (n - 1, 8).
+    """Integrate over one step ``h`` from every sample but the last, in ``count`` Runge-Kutta steps.
 
-    ``rate`` are the rates at the samples; ``bend`` as in `Reference`.
+    Returns states (n - 1, 8). ``bend`` as in `Reference`: a parabola over the step.
     """
-    start, k1 = x[:-1], rate[:-1]
-    k2, _ = model(start + 0.5 * h * k1, 0.5, bend[0])
-    k3, _ = model(start + 0.5 * h * k2, 0.5, bend[0])
-    k4, _ = model(start + h * k3, 1.0, bend[1])
-    return np.asarray(start + h / 6.0 * (k1 + 2.0 * k2 + 2.0 * k3 + k4))
+
+    def rate(at: FloatArray, share: float) -> FloatArray:
+        departure = 4.0 * share * (1.0 - share) * bend[0] + share * (2.0 * share - 1.0) * bend[1]
+        return model(at, share, departure)[0]
+
+    at, part = x[:-1], h / count
+    for start in np.arange(count) / count:
+        middle, end = start + 0.5 / count, start + 1.0 / count
+        k1 = rate(at, start)
+        k2 = rate(at + 0.5 * part * k1, middle)
+        k3 = rate(at + 0.5 * part * k2, middle)
+        k4 = rate(at + part * k3, end)
+        at = at + part / 6.0 * (k1 + 2.0 * k2 + 2.0 * k3 + k4)
+    return at

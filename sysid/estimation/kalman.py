@@ -49,7 +49,7 @@ class MeasuredSystem(NamedTuple):
         Measurement less the reference's output; 0 where not measured.
     H, D : array (n, m, x), (n, m, 6)
         Output matrices with the states and the extra coefficients.
-    phi, defect, g0, g1, dt_s, start
+    phi, half_columns, defect, g0, g1, dt_s, start
         As in `sysid.aerodynamics.Steps`.
     """
 
@@ -58,6 +58,7 @@ class MeasuredSystem(NamedTuple):
     H: FloatArray
     D: FloatArray
     phi: FloatArray
+    half_columns: FloatArray
     defect: FloatArray
     g0: FloatArray
     g1: FloatArray
@@ -74,12 +75,13 @@ class MeasuredSystem(NamedTuple):
         rows = list(output_rows)
         is_measured = np.isfinite(measured)
         z = np.where(is_measured, measured - steps.y_ref[:, rows], 0.0)
-        H, D, phi, defect, g0, g1 = (
+        H, D, phi, half_columns, defect, g0, g1 = (
             np.ascontiguousarray(part)
             for part in (
                 steps.H[:, rows],
                 steps.D[:, rows],
                 steps.phi,
+                steps.half_columns,
                 steps.defect,
                 steps.g0,
                 steps.g1,
@@ -87,7 +89,9 @@ class MeasuredSystem(NamedTuple):
         )
         # Without start columns the unknown start state is the state itself.
         start = np.eye(H.shape[2], START_COLUMNS) if steps.start is None else steps.start
-        return cls(is_measured, z, H, D, phi, defect, g0, g1, float(steps.dt_s), start)
+        return cls(
+            is_measured, z, H, D, phi, half_columns, defect, g0, g1, float(steps.dt_s), start
+        )
 
 
 class Gains(NamedTuple):

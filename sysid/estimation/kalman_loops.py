@@ -34,7 +34,7 @@ def filter_gains(  # type: ignore[no-untyped-def]  # pragma: no cover
     state_variance = np.zeros((n, NX))
     # Rows of V are columns of U.
     V, D, f = np.eye(NX), begin.copy(), np.empty(NX)
-    W, P, halves = np.empty((NX, NX)), np.empty((NX, NX)), np.empty((NX, NX))
+    W, P = np.empty((NX, NX)), np.empty((NX, NX))
     turned, work = np.empty((NX, NX)), np.empty((NX, NX))
     for k in range(n):
         if with_prior_variance:
@@ -59,8 +59,7 @@ def filter_gains(  # type: ignore[no-untyped-def]  # pragma: no cover
             for c in range(NX):
                 _add_product(W, c, V, c, turned)
             _add_square(W, D, work, P)
-            _half_step(turned, work, halves)
-            _add_process_noise(turned, halves, q, system.dt_s, work, P)
+            _add_process_noise(turned, system.half_columns[k], q, system.dt_s, work, P)
             _factor(P, V, D)
     return gain, variance, prior_variance, state_variance
 
@@ -136,24 +135,6 @@ def _add_process_noise(  # type: ignore[no-untyped-def]  # pragma: no cover
 
 
 @compiled
-def _half_step(turned, work, halves):  # type: ignore[no-untyped-def]  # pragma: no cover
-    """Write the transpose of the transition over half a step into ``halves``.
-
-    The square root of Phi to second order: 1 + A/2 - A^2/8 with A = Phi - 1; ``turned`` is Phi'.
-    Overwrites ``work``.
-    """
-    # 3/8 + (3/4 - Phi/8) Phi; transposes have the same products.
-    for c in range(NX):
-        for i in range(NX):
-            work[c, i] = -0.125 * turned[c, i]
-            halves[c, i] = 0.0
-        work[c, c] += 0.75
-        halves[c, c] = 0.375
-    for c in range(NX):
-        _add_product(halves, c, work, c, turned)
-
-
-@compiled
 def _factor(P, V, D):  # type: ignore[no-untyped-def]  # pragma: no cover
     """Factor P into U and D, the last state first. Overwrites P."""
     for i in range(NX - 1, -1, -1):
@@ -183,7 +164,7 @@ def noise_columns(  # type: ignore[no-untyped-def]  # pragma: no cover
     A = len(noisy)
     x, moved, f = start.copy(), np.empty(NX), np.empty(NX)
     d, F = np.zeros((A, NX)), np.zeros((A, NX, NX))
-    T, turned, halves = np.empty((NX, NX)), np.empty((NX, NX)), np.empty((NX, NX))
+    T, turned = np.empty((NX, NX)), np.empty((NX, NX))
     for k in range(n):
         for j in range(m):
             if not system.is_measured[k, j]:
@@ -212,9 +193,8 @@ def noise_columns(  # type: ignore[no-untyped-def]  # pragma: no cover
             for i in range(NX):
                 x[i] += gain[i] * innovation
         if k < n - 1:
-            phi = system.phi[k]
+            phi, halves = system.phi[k], system.half_columns[k]
             _transpose(phi, turned)
-            _half_step(turned, T, halves)
             moved[:] = system.defect[k]
             _add_product(moved, 0, x, 0, turned)
             x[:] = moved
@@ -369,15 +349,14 @@ def backward(system, gains, innovation, q):  # type: ignore[no-untyped-def]  # p
     by_noise, by_process, by_start = np.zeros((2, m)), np.zeros((2, NX)), np.zeros((2, NX))
     noisy = np.flatnonzero(q)
     r, N, a = np.zeros(NX), np.zeros((NX, NX)), np.empty(NX)
-    halves, turned, work = np.empty((NX, NX)), np.empty((NX, NX)), np.empty((NX, NX))
+    turned, work = np.empty((NX, NX)), np.empty((NX, NX))
     sixth = system.dt_s / 6.0
     for k in range(n - 1, -1, -1):
         if k < n - 1:
             # Process noise as in `filter_gains`: Simpson's rule over end, middle and beginning.
             _transpose(system.phi[k], turned)
-            _half_step(turned, work, halves)
             _add_end_point(r, N, noisy, sixth, by_process)
-            _add_midpoint(r, N, noisy, halves, 4.0 * sixth, a, by_process)
+            _add_midpoint(r, N, noisy, system.half_columns[k], 4.0 * sixth, a, by_process)
             _propagate_back(system.phi[k], turned, work, r, N)
             _add_end_point(r, N, noisy, sixth, by_process)
         for j in range(m - 1, -1, -1):

@@ -258,19 +258,25 @@ def test_a_mean_gust_that_turns_with_the_body_forces_all_states() -> None:
     np.testing.assert_allclose(share, 1.0, atol=0.1)
 
 
-def test_a_step_is_the_exponential_and_inputs_are_linear_in_between() -> None:
+@pytest.mark.parametrize(("h", "tolerance"), [(0.05, 5e-7), (1.0, 2e-3), (5.0, 2e-3)])
+def test_a_step_is_the_exponential_and_inputs_are_linear_in_between(
+    h: float, tolerance: float
+) -> None:
+    """Also where a motion decays within a step, as the roll of a light aircraft at 50 Hz."""
     rng = np.random.default_rng(5)
-    A, B, h = rng.standard_normal((4, 4)), rng.standard_normal((4, 6)), 0.05
+    A, B = rng.standard_normal((4, 4)) - 1.5 * np.eye(4), rng.standard_normal((4, 6))
     both_A, both_B = np.stack([A, A]), np.stack([B, B])
-    phi, g0, g1 = np.empty((1, 4, 4)), np.zeros((1, 4, 6)), np.zeros((1, 4, 6))
-    loops().discretise(both_A, both_B, h, phi, g0, g1)
+    phi, half_columns = np.empty((2, 1, 4, 4))
+    g0, g1 = np.empty((2, 1, 4, 6))
+    loops().discretise(both_A, both_B, h, phi, half_columns, g0, g1)
     # A ramp of the input is another state.
     wide = np.zeros((16, 16))
     wide[:4, :4], wide[:4, 4:10], wide[4:10, 10:] = A, B, np.eye(6)
     exact = expm(h * wide)
-    np.testing.assert_allclose(phi[0], exact[:4, :4], atol=1e-8)
-    np.testing.assert_allclose(g0[0] + g1[0], exact[:4, 4:10], atol=1e-8)
-    np.testing.assert_allclose(g1[0], exact[:4, 10:] / h, atol=1e-8)
+    np.testing.assert_allclose(phi[0], exact[:4, :4], atol=tolerance)
+    np.testing.assert_allclose(half_columns[0].T, expm(0.5 * h * A), atol=tolerance)
+    np.testing.assert_allclose(g0[0] + g1[0], exact[:4, 4:10], atol=tolerance)
+    np.testing.assert_allclose(g1[0], exact[:4, 10:] / h, atol=tolerance)
     assert np.abs(g1[0] - g0[0]).max() > 1e-4
 
 

@@ -77,8 +77,7 @@ def test_another_kind_of_array_would_be_seen() -> None:
         np.zeros((2, 4, 4)),
         np.zeros((2, 4, 12))[:, :, ::2],
         0.1,
-        np.empty((1, 4, 4)),
-        np.zeros((1, 4, 6)),
-        np.zeros((1, 4, 6)),
+        *np.empty((2, 1, 4, 4)),
+        *np.empty((2, 1, 4, 6)),
     )
     assert compiled() != before

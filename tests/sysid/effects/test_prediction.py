@@ -43,8 +43,7 @@ def dense(
     phi, eye = steps.phi, np.eye(NX)
     added = []
     for k in range(n - 1):
-        offset = phi[k] - eye
-        half = eye + 0.5 * offset - 0.125 * offset @ offset
+        half = steps.half_columns[k].T
         added.append(steps.dt_s / 6.0 * (Q + 4.0 * half @ Q @ half.T + phi[k] @ Q @ phi[k].T))
     mean, cov = [np.zeros(NX)], [[P0]]
     start = [eye[:, :8] if steps.start is None else steps.start]

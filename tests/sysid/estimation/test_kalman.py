@@ -51,12 +51,7 @@ def textbook(
             remaining @ P @ remaining.T + gain @ np.diag(NOISE[present] ** 2) @ gain.T,
         )
         if k < len(z) - 1:
-            phi = steps.phi[k]
-            half = (
-                np.eye(NX)
-                + 0.5 * (phi - np.eye(NX))
-                - 0.125 * (phi - np.eye(NX)) @ (phi - np.eye(NX))
-            )
+            phi, half = steps.phi[k], steps.half_columns[k].T
             added = steps.dt_s / 6.0 * (Q + 4.0 * half @ Q @ half.T + phi @ Q @ phi.T)
             d, P = phi @ d + steps.defect[k], phi @ P @ phi.T + added
     return np.array(states), np.array(costs), specific
@@ -69,6 +64,7 @@ def test_state_likelihood_and_variances_are_the_textbooks(step: float) -> None:
     """
     steps, (noise, begin) = system(30, 1), air(5)
     steps.phi[11] *= step
+    steps.half_columns[11] *= step
     z = measured(steps, 2)
     states, costs, specific = textbook(steps, z, noise, begin)
     observed = MeasuredSystem.of(steps, z, ROWS)
