@@ -143,6 +143,7 @@ def test_a_sensor_late_by_a_part_of_a_row_sees_the_states_of_then(late):
     steps = Steps(
         DT,
         np.tile(phi, (N - 1, 1, 1)),
+        np.tile(expm(0.5 * turn).T, (N - 1, 1, 1)),
         *(np.zeros((N - 1, 3, 6)),) * 2,
         np.zeros((N - 1, 3)),
         H,
