@@ -454,7 +454,7 @@ class GustStates(NamedTuple):
     r_share: float = 1.0
 
     def lags_s(self, V: Any) -> tuple[Any, Any, Any]:
-        """Return T_p, T_q, T_r [s] at airspeed V [m/s]."""
+        """Return T_p, T_q, T_r [s] of gusts that pass at V [m/s]."""
         return gust_lags_s(self, V)
 
     def start(self, x: Any, turn: Any = 0.0) -> tuple[Any, ...]:

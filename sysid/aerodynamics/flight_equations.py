@@ -56,7 +56,9 @@ def complex_step_sines(real_trig: Trig, x: Any) -> Trig:
 
 
 def gust_lags_s(gusts: Any, V: Any) -> tuple[Any, Any, Any]:
-    """Return the time constants T_p, T_q, T_r [s] of `GustStates` at airspeed V [m/s]."""
+    """Return the time constants T_p, T_q, T_r [s] of `GustStates` that pass at V [m/s], or at
+    their own ``passing_mps``.
+    """
     unit = gusts.b / (gusts.passing_mps or V)
     return (
         LENGTHS[0] * gusts.p_length * unit,
@@ -547,7 +549,7 @@ def _discretise(A, B, h, phi, half_columns, g0, g1):  # type: ignore[no-untyped-
                 fastest = max(fastest, abs(X[i, j] * X[j, i]))
         # The terms left out are X^5/5!, at most 3e-4.
         doublings = 1
-        while 0.5**doublings * h * np.sqrt(fastest) > 0.5:
+        while doublings < 12 and 0.5**doublings * h * np.sqrt(fastest) > 0.5:
             doublings += 1
         part = 0.5**doublings * h
         for i in range(size):

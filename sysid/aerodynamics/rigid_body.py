@@ -55,6 +55,8 @@ OUTPUTS = (
 )
 NX = 13
 """Number of states in turbulence."""
+_MAX_STEPS = 64
+"""Integration steps per row at most: no flight follows a model that is faster."""
 _WIND_HZ = 1.0
 """Low-pass of the wind [Hz]."""
 
@@ -347,11 +349,15 @@ def rigid_slopes(
 
 def _steps_of(slopes: FloatArray, dt_s: float) -> int:
     """Return into how many integration steps to divide a step: each at most half the time constant
-    of the fastest motion, at which the error of a step is 3e-4.
+    of the fastest motion, at which the error of a step is 3e-4, but `_MAX_STEPS`.
+
+    Raises LinAlgError if slopes are not finite.
     """
     A = slopes[:, :8, :8]
     fastest = np.sqrt(np.abs(A * A.transpose(0, 2, 1)).max())
-    return max(1, int(np.ceil(2.0 * dt_s * fastest)))
+    if not np.isfinite(fastest):
+        raise np.linalg.LinAlgError("slopes of this model are no numbers")
+    return int(np.clip(np.ceil(2.0 * dt_s * fastest), 1, _MAX_STEPS))
 
 
 def psi_rates(x: FloatArray) -> FloatArray:
@@ -520,16 +526,16 @@ def _runge_kutta(
     Returns states (n - 1, 8). ``bend`` as in `Reference`: a parabola over the step.
     """
 
-    def rate(at: FloatArray, share: float) -> FloatArray:
+    def rate(state: FloatArray, share: float) -> FloatArray:
         departure = 4.0 * share * (1.0 - share) * bend[0] + share * (2.0 * share - 1.0) * bend[1]
-        return model(at, share, departure)[0]
+        return model(state, share, departure)[0]
 
-    at, part = x[:-1], h / count
+    state, part = x[:-1], h / count
     for start in np.arange(count) / count:
         middle, end = start + 0.5 / count, start + 1.0 / count
-        k1 = rate(at, start)
-        k2 = rate(at + 0.5 * part * k1, middle)
-        k3 = rate(at + 0.5 * part * k2, middle)
-        k4 = rate(at + part * k3, end)
-        at = at + part / 6.0 * (k1 + 2.0 * k2 + 2.0 * k3 + k4)
-    return at
+        k1 = rate(state, start)
+        k2 = rate(state + 0.5 * part * k1, middle)
+        k3 = rate(state + 0.5 * part * k2, middle)
+        k4 = rate(state + part * k3, end)
+        state = state + part / 6.0 * (k1 + 2.0 * k2 + 2.0 * k3 + k4)
+    return state

@@ -196,7 +196,8 @@ def make_replay(
         stride=stride,
     )
     # Constant folding may have removed the section that read a stream.
-    read = _refuse_draws(flight, program)
+    _refuse_draws(flight, program)
+    read = _slots_read(program)
     if any(read & set(stream.columns) for stream in program.streams if stream is not fed):
         raise BadInputError(
             "the aircraft switches on JSBSim's turbulence, which replays do not support"
@@ -205,15 +206,15 @@ def make_replay(
     return ReplayProgram(flight, program, fed.columns, names, stride)
 
 
-def _refuse_draws(flight: Flight, program: Program) -> set[str]:
-    """Return the slots that a program reads.
+def _slots_read(program: Program) -> set[str]:
+    """Return the slots that a program reads."""
+    return {name for section in program.sections for name in section.function.slots}
 
-    Raises BadInputError if random numbers are among them; noise that moves nothing is gone.
-    """
-    read = {name for section in program.sections for name in section.function.slots}
-    if any(slot in read for slot, _ in flight.draws):
+
+def _refuse_draws(flight: Flight, program: Program) -> None:
+    """Raise BadInputError if a program reads random numbers; noise that moves nothing is gone."""
+    if _slots_read(program) & {slot for slot, _ in flight.draws}:
         raise BadInputError("the aircraft draws random numbers, which a replay does without")
-    return read
 
 
 def trace_replay(

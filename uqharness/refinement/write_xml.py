@@ -165,6 +165,12 @@ def write_servo(
     A surface without an actuator gets one. Raises BadInputError.
     """
     surface = (effect.subsystem or "").partition(".")[2]
+    servo, name = servo_of(effect, aircraft), effect.property_name
+    if servo is None and effect.term in ("lag", "rate_limit"):
+        raise BadInputError(
+            f"aircraft '{aircraft.name}': the servo of its {surface} cannot be told from its other"
+            " actuators; give the actuator the name of the card's position"
+        )
     write_actuator(folder, aircraft, surface)
     position, unit_deg = servo_property(aircraft, surface)
     place = _actuator(folder, position)
@@ -172,7 +178,6 @@ def write_servo(
     document, actuator = place
     value = value / unit_deg if effect.term == "deadband" else value
     # Its numbers may stand in the XML as properties: asked of JSBSim, they are what flies.
-    servo, name = servo_of(effect, aircraft), effect.property_name
     tag = _TAGS[effect.term]
     number_node = actuator.find(tag)
     if servo is None and number_node is not None:

@@ -129,9 +129,9 @@ def write_actuator(folder: Path, aircraft: Aircraft, surface: str) -> None:
         channel = [f'<channel name="{surface} servo">', *(f"  {x}" for x in lines), "</channel>"]
         edits.append((document, append_child(document, node, channel)))
     for document in documents:
-        own = [edit for home, edit in edits if home is document]
-        if own:
-            document.path.write_bytes(apply(document, own))
+        document_edits = [edit for edited, edit in edits if edited is document]
+        if document_edits:
+            document.path.write_bytes(apply(document, document_edits))
     set_position(folder / "airframe.toml", surface, name)
 
 
@@ -162,7 +162,9 @@ def _signal(documents: Sequence[Document], aircraft: Aircraft, surface: str) -> 
         tuple(_readers(documents, card.selected or card.property)),
         None,
     )
-    while len(signal.readers) == 1:
+    passed: set[str] = set()
+    while len(signal.readers) == 1 and signal.name not in passed:
+        passed.add(signal.name)
         reader = signal.readers[0]
         summer = reader.component
         if (
@@ -172,11 +174,11 @@ def _signal(documents: Sequence[Document], aircraft: Aircraft, surface: str) -> 
             or summer.find("output") is not None
         ):
             break
-        (name,) = component_outputs(summer)
-        following = tuple(_readers(documents, name))
-        if not following:
+        name = next(iter(component_outputs(summer)), None)
+        next_readers = () if name is None else tuple(_readers(documents, name))
+        if name is None or not next_readers:
             break
-        signal = _Signal(name, following, (reader.document, summer))
+        signal = _Signal(name, next_readers, (reader.document, summer))
     if not signal.readers:
         return None
     if signal.writer is None and all(r.component is None for r in signal.readers):

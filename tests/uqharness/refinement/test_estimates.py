@@ -47,7 +47,9 @@ def flights(truth: Path, folder: Path, speeds: tuple[int, ...], scale: str) -> l
         "sgs126",
         "sgs233",
         # From commands alone, the true model leaves roll rates at twice their noise.
-        pytest.param("c172x", marks=pytest.mark.xfail(reason="ailerons of unequal travel slew")),
+        pytest.param(
+            "c172x", marks=pytest.mark.xfail(reason="ailerons of unequal travel slew", strict=True)
+        ),
     ],
 )
 def test_refine_states_the_optimum_that_identify_states(name, tmp_path):

@@ -122,8 +122,8 @@ class PredictedStates:
     """
 
     x: FloatArray
-    variance: FloatArray | None
-    ahead: FloatArray | None
+    variance: FloatArray
+    ahead: FloatArray
 
 
 @dataclass(frozen=True)
@@ -219,7 +219,7 @@ def predict(
         for (p, b, a), w in zip(curved, winds, strict=True)
     ]
     if path is not None:
-        variances = [states.variance for states in path if states.variance is not None]
+        variances = [states.variance for states in path]
         probes = [
             replace(p, reference=replace(p.reference, ahead=states.ahead))
             for p, states in zip(
@@ -514,12 +514,17 @@ def _advance(
     moves = dict(zip(names, (share * step).tolist(), strict=True))
     point = apply_step(result.data, at.point, moves, limits)
     probes = result.fit.probes
-    path = with_equal_readings(result.data, [p.body for p in probes], at.point, point)
+    path = []
+    states = with_equal_readings(result.data, [p.body for p in probes], at.point, point)
+    for x, p in zip(states, probes, strict=True):
+        assert p.variance is not None
+        assert p.ahead is not None
+        path.append(PredictedStates(x, p.variance, p.ahead))
     return _Iterate(
         result.data,
         point,
         result.turbulence,
-        [PredictedStates(x, p.variance, p.ahead) for x, p in zip(path, probes, strict=True)],
+        path,
         result.fit.analytic,
         step,
         share,
