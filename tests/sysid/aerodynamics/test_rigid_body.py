@@ -280,6 +280,15 @@ def test_a_step_is_the_exponential_and_inputs_are_linear_in_between(
     assert np.abs(g1[0] - g0[0]).max() > 1e-4
 
 
+def test_slopes_that_are_no_numbers_are_refused() -> None:
+    """As a model's that has left its tables; a search goes on with the next one."""
+    equations = OpenEquations(TERMS, (), ("V_mps",), MASS)
+    given = reference(flight(5), equations)
+    given.slopes[2, 0, 1] = np.nan
+    with pytest.raises(np.linalg.LinAlgError, match="no numbers"):
+        linearise(given, MASS)
+
+
 def test_what_python_calls_is_what_is_compiled() -> None:
     """Everything that a loop calls is of its own file: numba renews what it keeps by that file
     alone.
