@@ -165,29 +165,28 @@ def write_servo(
     A surface without an actuator gets one. Raises BadInputError.
     """
     surface = (effect.subsystem or "").partition(".")[2]
-    servo, name = servo_of(effect, aircraft), effect.property_name
-    if servo is None and effect.term in ("lag", "rate_limit"):
+    servo, name = servo_of_surface(aircraft, surface), effect.property_name
+    if servo is None:
         raise BadInputError(
-            f"aircraft '{aircraft.name}': the servo of its {surface} cannot be told from its other"
-            " actuators; give the actuator the name of the card's position"
+            f"aircraft '{aircraft.name}': no <actuator> of its {surface} has the name of the card's"
+            " position; give it this name"
         )
     write_actuator(folder, aircraft, surface)
     position, unit_deg = servo_property(aircraft, surface)
     place = _actuator(folder, position)
     assert place is not None
     document, actuator = place
-    value = value / unit_deg if effect.term == "deadband" else value
-    # Its numbers may stand in the XML as properties: asked of JSBSim, they are what flies.
     tag = _TAGS[effect.term]
     number_node = actuator.find(tag)
-    if servo is None and number_node is not None:
-        _shift(document, number_node, value, remark)
-    elif servo is None:
-        _write(
-            document,
-            [append_child(document, actuator, [f"<{tag}>{value:.8g}</{tag}>  {comment(remark)}"])],
-        )
+    if effect.term == "deadband":
+        width = value / unit_deg
+        if number_node is not None:
+            _shift(document, number_node, width, remark)
+        else:
+            line = f"<{tag}>{width:.8g}</{tag}>  {comment(remark)}"
+            _write(document, [append_child(document, actuator, [line])])
     else:
+        # Its numbers may stand in the XML as properties: asked of JSBSim, they are what flies.
         text = f"{servo_number(servo, effect.term, value, unit_deg):.8g}"
         declared = declaration(document, name)
         if declared is not None and number_node is not None and number_node.text.strip() == name:

@@ -55,7 +55,8 @@ def servo_of_surface(aircraft: Aircraft, surface: str) -> Actuator | None:
     """Return the servo of a surface, in degrees; one without dynamics if `write_actuator` can add
     it.
 
-    None if the card has no such surface, or if its actuator cannot be told from others.
+    None if the card has no such surface, or if an actuator of another name than the card's
+    position moves it.
     """
     if surface not in aircraft.card.inputs:
         return None
