@@ -467,7 +467,7 @@ class GustStates(NamedTuple):
         q_share, r_share = self.rotating * self.q_share, self.rotating * self.r_share
         return 0.0 * U, -q_share * W, r_share * S, *last
 
-    def ahead(self, x: Any) -> Any:
+    def gust_ahead(self, x: Any) -> Any:
         """Return the gust ahead [m/s] at a state x of 13 elements; 0 where it is no state."""
         U, _, _ = gust_axes(self, x, sines(x))
         return 0.0 * U if self.in_body or self.in_earth else x[11] - U

@@ -94,7 +94,7 @@ class Reference:
     flow_by_wind : array (n, 2), optional
         What these rates have by wind in the simulator, which takes them from the velocity over the
         ground [rad/s].
-    ahead : array (n,), optional
+    gust_ahead_mps : array (n,), optional
         Predicted gust ahead in heading axes [m/s].
     """
 
@@ -110,7 +110,7 @@ class Reference:
     by_flow: FloatArray | None = None
     frame_s: float = 0.0
     flow_by_wind: FloatArray | None = None
-    ahead: FloatArray | None = None
+    gust_ahead_mps: FloatArray | None = None
 
     @property
     def turn(self) -> FloatArray:
@@ -182,7 +182,7 @@ class RigidSlopes:
         Heading along the reference less its mean [rad].
     flow : SimulatedFlow, optional
         Rates of alpha and beta of a simulator, where forces depend on them.
-    ahead : array (n,), optional
+    gust_ahead_mps : array (n,), optional
         As in `Reference`.
     """
 
@@ -194,7 +194,7 @@ class RigidSlopes:
     slopes: FloatArray
     turn: FloatArray
     flow: SimulatedFlow | None = None
-    ahead: FloatArray | None = None
+    gust_ahead_mps: FloatArray | None = None
 
     @cached_property
     def _end_turn(self) -> FloatArray:
@@ -216,10 +216,10 @@ class RigidSlopes:
             H[:, 8:], D[:, 8:] = self.slopes[:, 8:, :8], self.slopes[:, 8:, 14:]
         else:
             along = states
-            if self.ahead is not None and not (gusts.in_body or gusts.in_earth):
+            if self.gust_ahead_mps is not None and not (gusts.in_body or gusts.in_earth):
                 # The predicted gust changes the speed at which gusts pass.
                 along = states.copy()
-                along[:, 11] += self.ahead
+                along[:, 11] += self.gust_ahead_mps
             loops().gust_slopes(along, gusts, self.rate, self.slopes, A, B, H, D)
         # Gusts with axes of one azimuth are JSBSim's, and so are the rates of alpha and beta then.
         flow = self.flow if gusts is not None and gusts.in_earth else None
@@ -343,7 +343,7 @@ def rigid_slopes(
     if not reference.consistent:
         end = _runge_kutta(model, x, bend, reference.dt_s, _steps_of(slopes, reference.dt_s))
     return RigidSlopes(
-        reference.dt_s, x, rate, y_ref, end, slopes, reference.turn, flow, reference.ahead
+        reference.dt_s, x, rate, y_ref, end, slopes, reference.turn, flow, reference.gust_ahead_mps
     )
 
 

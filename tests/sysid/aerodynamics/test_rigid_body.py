@@ -320,7 +320,7 @@ def test_a_gust_ahead_does_not_change_the_speed_at_which_gusts_pass():
     mass = MassProperties(20.0, np.eye(3), 2.0, 0.5, 3.66)
     gusts = GustStates(3.66)
     decay = [
-        rigid_slopes(replace(still, ahead=ahead), mass).with_gusts(gusts).phi[0, 9, 9]
+        rigid_slopes(replace(still, gust_ahead_mps=ahead), mass).with_gusts(gusts).phi[0, 9, 9]
         for ahead in (None, np.full(3, 3.0))
     ]
     length = 4.0 / np.pi * 3.66

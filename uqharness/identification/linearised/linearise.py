@@ -113,7 +113,7 @@ class Probe:
         Property to (n, 6) change of CX to Cn per unit of it.
     jumped : (n, c) array or None
         Jump of each control at each row; None where none jumps.
-    variance, ahead : (n, 2) and (n,) array or None
+    variance, gust_ahead_mps : (n, 2) and (n,) array or None
         Variances of alpha and beta [rad2], and the gust ahead [m/s], if ``body`` are predictions.
     """
 
@@ -133,7 +133,7 @@ class Probe:
     by_property: Mapping[str, FloatArray] = field(default_factory=dict)
     jumped: FloatArray | None = None
     variance: FloatArray | None = None
-    ahead: FloatArray | None = None
+    gust_ahead_mps: FloatArray | None = None
 
     @property
     def scale(self) -> FloatArray:

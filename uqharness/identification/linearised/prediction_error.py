@@ -118,12 +118,12 @@ TOLERANCE, ITERATIONS = 0.2, 10
 class PredictedStates:
     """States (n, 8) of a segment predicted by the filter.
 
-    ``variance`` (n, 2) and ``ahead`` (n,) as in `Probe`.
+    ``variance`` (n, 2) and ``gust_ahead_mps`` (n,) as in `Probe`.
     """
 
     x: FloatArray
     variance: FloatArray
-    ahead: FloatArray
+    gust_ahead_mps: FloatArray
 
 
 @dataclass(frozen=True)
@@ -221,7 +221,7 @@ def predict(
     if path is not None:
         variances = [states.variance for states in path]
         probes = [
-            replace(p, reference=replace(p.reference, ahead=states.ahead))
+            replace(p, reference=replace(p.reference, gust_ahead_mps=states.gust_ahead_mps))
             for p, states in zip(
                 with_mean_loads(direct_model, data, trajectory, probes, variances, pool),
                 path,
@@ -518,8 +518,8 @@ def _advance(
     states = with_equal_readings(result.data, [p.body for p in probes], at.point, point)
     for x, p in zip(states, probes, strict=True):
         assert p.variance is not None
-        assert p.ahead is not None
-        path.append(PredictedStates(x, p.variance, p.ahead))
+        assert p.gust_ahead_mps is not None
+        path.append(PredictedStates(x, p.variance, p.gust_ahead_mps))
     return _Iterate(
         result.data,
         point,
@@ -874,7 +874,7 @@ def at_predictions(
                 rate=full_rates[:, :8],
                 flow_rate=flow if wind is None else flow + wind,
                 variance=one.gains.state_variance[:, _ANGLES],
-                ahead=states.ahead(x.T),
+                gust_ahead_mps=states.gust_ahead(x.T),
             )
         )
         outputs.append(

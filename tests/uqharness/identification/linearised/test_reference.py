@@ -168,7 +168,14 @@ def test_the_mean_load_contains_the_curvature_of_the_load():
         data = SimpleNamespace(segments=[segment], properties=lambda point: values)
         along = SimpleNamespace(height=[height], point=None)
         variances = [np.tile([std**2, 0.0], (n, 1))]
-        (mean,) = with_mean_loads(level, data, along, [probe], variances, SERIAL)  # type: ignore[arg-type]
+        (mean,) = with_mean_loads(
+            level,
+            data,
+            along,
+            [probe],
+            variances,
+            SERIAL,  # type: ignore[arg-type]
+        )
     change = mean.reference.force - probe.reference.force
     expected = probe.scale[:, 0] * 1.86 * std**2
     np.testing.assert_allclose(change[:, 0], expected, rtol=1e-4)
