@@ -174,7 +174,7 @@ def test_the_mean_load_contains_the_curvature_of_the_load():
             along,
             [probe],
             variances,
-            SERIAL,  # type: ignore[arg-type]
+            SERIAL,
         )
     change = mean.reference.force - probe.reference.force
     expected = probe.scale[:, 0] * 1.86 * std**2
