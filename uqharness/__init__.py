@@ -8,5 +8,5 @@ numerical library. They stand in __init__.pyi."""
 
 import lazy_loader
 
-__version__ = "0.37.0"
+__version__ = "0.38.0"
 __getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
