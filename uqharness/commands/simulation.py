@@ -132,6 +132,7 @@ from uqharness.simulator import (
     linearise,
     mode_intervals,
     read_script,
+    step_notes,
     with_fine_step,
     write_own_mission,
 )
@@ -402,10 +403,12 @@ def modes(request: ModesRequest, callback: Callback = silent) -> Outcome[Modes]:
         ],
         levels=[AssessedLevel(**asdict(level)) for level in point.levels],
         bounds=str(form_path) if intervals else "",
+        notes=step_notes(point.modes, aircraft.dt_s),
     )
     lines = _modes_lines(aircraft.name, trim, point.modes, point.levels)
     if intervals:
         lines += ["", *_interval_lines(point.modes, intervals, f"{form_path}{form_note}")]
+    lines += [f"  note: {note}" for note in document.notes]
     return Outcome(document, document, lines, report=request.out)
 
 

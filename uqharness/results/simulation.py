@@ -108,6 +108,9 @@ class Modes(Part):
         default=[], description="criteria; absent without a steady flight"
     )
     bounds: str = Field(default="", description="model form of the intervals; absent without one")
+    notes: Texts = Field(
+        default=[], description="roll that JSBSim's step does not resolve; absent without one"
+    )
 
 
 class MarginsOfLoop(Part):

@@ -61,6 +61,7 @@ from .linear import ModeInterval as ModeInterval
 from .linear import linearise as linearise
 from .linear import mode_intervals as mode_intervals
 from .linear import modes as modes
+from .linear import step_notes as step_notes
 from .mass import CHANGEABLE as CHANGEABLE
 from .mass import mass_properties as mass_properties
 from .mass import xml_numbers_for as xml_numbers_for

@@ -8,7 +8,8 @@ form and returns an interval for each mode.
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable
+import math
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
@@ -96,6 +97,46 @@ class Mode:
     imag: float
     wn_radps: float
     zeta: float
+
+
+MAX_DECAY_PER_STEP = 0.2
+"""Largest decay in a step of JSBSim, real part times step; its time constant is then 11 % short."""
+
+
+def step_notes(all_modes: Sequence[Mode], dt_s: float) -> list[str]:
+    """Return a note if the roll decays too fast for JSBSim's step.
+
+    JSBSim integrates body rates by Euler's rule: in a step it multiplies a roll rate that decays as
+    exp(lambda t) by 1 + lambda dt.
+
+    Parameters
+    ----------
+    all_modes : sequence of Mode
+    dt_s : float
+        JSBSim's step.
+
+    Examples
+    --------
+    >>> for note in step_notes([Mode("roll", -50.0, 0.0, 50.0, 1.0)], 0.01):
+    ...     print(note)
+    roll decays in 20 ms, but in 14 ms in steps of 10 ms: set dt_s in airframe.toml to 0.004
+    """
+    notes = []
+    for real in (m.real for m in all_modes if m.name == "roll" and m.imag == 0.0):
+        factor = 1.0 + real * dt_s
+        if factor >= 1.0 - MAX_DECAY_PER_STEP:
+            continue
+        if factor <= -1.0:
+            simulated = "grows"
+        elif factor <= 0.0:
+            simulated = "changes its sign at each step"
+        else:
+            simulated = f"in {-1e3 * dt_s / math.log(factor):.2g} ms"
+        notes.append(
+            f"roll decays in {-1e3 / real:.2g} ms, but {simulated} in steps of {1e3 * dt_s:.3g} ms:"
+            f" set dt_s in airframe.toml to {-MAX_DECAY_PER_STEP / real:.1g}"
+        )
+    return notes
 
 
 def linearise(aircraft: Aircraft, trim: Trim) -> LinearModel:

@@ -9,11 +9,12 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from sysid.units import FT_M
 from tests.helpers.few import few
 from uqharness.cli.main import main
 from uqharness.flight.handling import assess
-from uqharness.simulator.aircraft import find_aircraft
-from uqharness.simulator.linear import STATE_NAMES, linearise, modes
+from uqharness.simulator.aircraft import find_aircraft, open_aircraft
+from uqharness.simulator.linear import STATE_NAMES, linearise, modes, step_notes
 from uqharness.simulator.trim import SteadyCondition, find_trim
 
 AT = {name: k for k, name in enumerate(STATE_NAMES)}
@@ -115,3 +116,29 @@ def test_the_command_prints_the_eigenvalues_of_stock_aircraft_each_once(name, sp
     assert roots(printed) == pytest.approx(
         np.sort_complex(np.linalg.eigvals(model.A)), abs=1e-7, rel=1e-7
     )
+
+
+def test_a_roll_too_fast_for_jsbsims_step_decays_in_jsbsim_as_the_note_says():
+    aircraft = find_aircraft("minisgs")
+    trim = find_trim(aircraft, SteadyCondition(17.5))
+    fastest = min(modes(linearise(aircraft, trim)), key=lambda m: m.real)
+    assert fastest.name == "roll"
+    for dt_s in (0.002, 0.01):
+        fdm = open_aircraft(aircraft, dt_s)
+        for name, value in {
+            "vt-fps": 17.5 / FT_M,
+            "h-sl-ft": 3000.0,
+            "alpha-deg": math.degrees(trim.alpha_rad),
+            "gamma-deg": math.degrees(trim.theta_rad - trim.alpha_rad),
+            "p-rad_sec": 0.2,
+        }.items():
+            fdm[f"ic/{name}"] = value
+        fdm.run_ic()
+        fdm.run()
+        assert fdm["velocities/p-rad_sec"] / 0.2 == pytest.approx(
+            1.0 + fastest.real * dt_s, abs=0.01
+        )
+    assert step_notes([fastest], 0.002) == []
+    (note,) = step_notes([fastest], 0.01)
+    assert "decays in 12 ms, but in 5.3 ms in steps of 10 ms" in note
+    assert note.endswith("to 0.002")
