@@ -412,6 +412,8 @@ def card_text(
         )
         if control_facts.position is not None:
             lines.append(f"position = {as_toml(control_facts.position)}")
+        if control_facts.position_unit is not None:
+            lines.append(f'position_unit = "{control_facts.position_unit}"')
     # Noise cannot be measured in JSBSim; small MEMS units are assumed.
     lines += ["", "[sensors.noise_std]                            # assumed: small MEMS units; SI"]
     lines += [f"{name} = {std!r}" for name, std in MEMS_NOISE_STD.items()]

@@ -76,6 +76,8 @@ class InputCard(_Strict):
         Command after the aircraft's own selection (autopilot or pilot); read only.
     position : str or None
         Position of the surface; read only.
+    position_unit : str or None
+        Its unit, for a name without -deg, -rad or -norm of a normalised command.
     unit, positive, limits
         Unit of the command, meaning of its sign, and range.
     throw_deg : float or None
@@ -85,6 +87,7 @@ class InputCard(_Strict):
     property: str
     selected: str | None = None
     position: str | None = None
+    position_unit: Literal["deg", "rad", "norm"] | None = None
     unit: Literal["deg", "rad", "pct", "norm"] = "norm"
     positive: str = ""
     limits: tuple[float, float] = (-1.0, 1.0)
@@ -292,6 +295,7 @@ def set_position(path: Path, control: str, name: str) -> None:
     try:
         card = tomlkit.parse(path.read_bytes().decode("utf-8"))
         card["inputs"][control]["position"] = name
+        card["inputs"][control].pop("position_unit", None)
     except (TOMLKitError, UnicodeDecodeError) as error:
         raise BadInputError(f"{path}: {error}") from None
     path.write_bytes(tomlkit.dumps(card).encode("utf-8"))
@@ -1177,16 +1181,16 @@ def sources(aircraft: Aircraft) -> dict[str, Source]:
 def position_factor(card: InputCard) -> float:
     """Return the factor from a card's position property to degrees in the record's sign.
 
-    A card in deg or rad has its position in the same unit. For a normalised command, the ending of
-    the property (-deg, -rad, -norm) gives the unit, and the throw gives the sign.
+    A card in deg or rad has its position in the same unit. For a normalised command,
+    `position_unit` or the ending of the property (-deg, -rad, -norm) gives the unit, and the throw
+    gives the sign.
     """
     if card.unit != "norm" or card.position is None:
         return _UNIT_TO_RECORD.get(card.unit, 1.0)
     # Normalised command: the throw's sign is the record's sign.
     throw = 1.0 if card.throw_deg is None else card.throw_deg
-    if card.position.endswith("-rad"):
-        return math.copysign(_UNIT_TO_RECORD["rad"], throw)
-    return throw if card.position.endswith("-norm") else math.copysign(1.0, throw)
+    unit = card.position_unit or card.position.rpartition("-")[2]
+    return throw if unit == "norm" else math.copysign(_UNIT_TO_RECORD.get(unit, 1.0), throw)
 
 
 def standard_positions() -> dict[str, Source]:

@@ -30,6 +30,7 @@ from uqharness.simulator.aircraft import (
     staged,
     with_step,
 )
+from uqharness.simulator.aircraft_checks import function_properties
 from uqharness.simulator.forced_state import (
     TRIM_LATITUDE_DEG,
     BodyState,
@@ -150,6 +151,9 @@ _MIN_ANSWER = (
 )
 _MIN_RATE_CHANGE = 1e-9  # rad/s, ft/s: a control that moves nothing leaves a flight bit-identical
 _MIN_TRAVEL = 1e-6  # deg or rad
+_LIKE_THROW_SHARE = 0.25  # by which a mean of surfaces may travel more or less than one of them
+_FCS = re.compile(r"fcs/(?!.*(cmd|command))")
+_UNIT_ENDING = re.compile(r"-(deg|rad|norm)$")
 _TURNING_RADPS = 0.1
 _METRICS = ("metrics/Sw-sqft", "metrics/bw-ft", "metrics/cbarw-ft")
 _POSITIONS = {
@@ -189,7 +193,9 @@ class ControlFacts:
     throw_deg : float or None
         Degrees per unit, mean of both ends, positive; None if no position property follows.
     position : str or None
-        The property that follows; None if its travel is not proportional.
+        The property that follows in proportion.
+    position_unit : str or None
+        Its unit, "deg" or "rad", where its name has none.
     thrust_N : tuple of float or None
         Settled thrust of all engines [N], throttle closed and open; None without a value.
     unmeasured : str
@@ -203,6 +209,7 @@ class ControlFacts:
     sense: int
     throw_deg: float | None = None
     position: str | None = None
+    position_unit: str | None = None
     thrust_N: tuple[float, float] | None = None
     unmeasured: str = ""
     property: str = ""
@@ -545,6 +552,9 @@ def _hold_commands(
     equilibrium = control_equilibrium(aircraft, fdm)
     engines = fdm.get_propulsion().get_num_engines()
     names = [name for group in _POSITIONS.values() for name in group if exists(name)]
+    # What the aerodynamics read of two surfaces of unequal travel may be proportional.
+    functions = dict.fromkeys(name for name, _, _ in function_properties(staged(aircraft)))
+    names += [n for n in functions if _FCS.match(n) and n not in names and exists(n)]
     values = [*_METRICS, "velocities/vt-fps", _FORWARD, *(name for name, _ in _RESPONSE.values())]
     rows = []
     for command in commands:
@@ -627,10 +637,33 @@ def _control_facts(
             is_linear = (
                 not limited and abs(middle - 0.5 * (lowest + highest)) <= _LINEAR_SHARE * throw
             )
-            return ControlFacts(
-                sense, round(throw, 6), name if is_linear and highest > lowest else None
-            )
+            if is_linear and highest > lowest:
+                return ControlFacts(sense, round(throw, 6), name)
+            return ControlFacts(sense, round(throw, 6), *_proportional_position(rows, throw))
     return ControlFacts(sense)
+
+
+def _proportional_position(
+    rows: Sequence[_HeldState], throw_deg: float
+) -> tuple[str | None, str | None]:
+    """Return a property and its unit that aerodynamic functions read, which follows the command in
+    proportion and by about the throw of a surface; (None, None) if there is none.
+    """
+    common = set.intersection(*({*row.positions} for row in rows))
+    for name in (n for n in rows[0].positions if n in common and not _UNIT_ENDING.search(n)):
+        values = [row.positions[name] for row in rows]
+        travel = 0.5 * (values[-2] - values[0])
+        if not (all(map(math.isfinite, values)) and travel > _MIN_TRAVEL):
+            continue
+        middle = 0.5 * (values[0] + values[-2])
+        straight = (middle - 0.5 * travel, middle, middle + 0.5 * travel)
+        bends = max(abs(v - w) for v, w in zip(values[1:4], straight, strict=True))
+        if bends > _LINEAR_SHARE * travel:
+            continue
+        for unit, degrees in (("deg", 1.0), ("rad", RAD_DEG)):
+            if abs(degrees * travel - throw_deg) <= _LIKE_THROW_SHARE * throw_deg:
+                return name, unit
+    return None, None
 
 
 def _depends_on_motion(

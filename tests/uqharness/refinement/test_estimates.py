@@ -41,17 +41,7 @@ def flights(truth: Path, folder: Path, speeds: tuple[int, ...], scale: str) -> l
 
 @pytest.mark.timeout(3600)
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    "name",
-    [
-        "sgs126",
-        "sgs233",
-        # From commands alone, the true model leaves roll rates at twice their noise.
-        pytest.param(
-            "c172x", marks=pytest.mark.xfail(reason="ailerons of unequal travel slew", strict=True)
-        ),
-    ],
-)
+@pytest.mark.parametrize("name", ["sgs126", "sgs233", "c172x"])
 def test_refine_states_the_optimum_that_identify_states(name, tmp_path):
     speeds, scale = AIRCRAFT[name]
     inputs, truth = tmp_path / "given" / name, tmp_path / "truth" / name

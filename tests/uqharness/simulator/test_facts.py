@@ -6,9 +6,12 @@ import math
 import shutil
 from pathlib import Path
 
+import numpy as np
 import pytest
 
+from sysid.record import FlightRecord
 from sysid.units import FT_M, LBF_N, RAD_DEG
+from uqharness.cli.main import main
 from uqharness.plugin import Bounds, instrument_aircraft
 from uqharness.simulator import engine, find_aircraft
 from uqharness.simulator import facts as aircraft_facts
@@ -257,3 +260,24 @@ def test_the_cards_throws_signs_and_thrust_are_those_of_jsbsims_response(name: s
     if throttle.thrust_N is not None and name != "Concorde":
         opened = response(name, facts.V_mps, "throttle", 1.0, 6000)["thrust_N"]
         assert throttle.thrust_N[1] == pytest.approx(opened, rel=0.02)
+
+
+def test_ailerons_of_unequal_travel_are_recorded_by_the_mean_that_moves_the_aircraft(
+    tmp_path: Path,
+):
+    card = tmp_path / "c172x"
+    assert main(["instrument", "c172x", "--no-check", "--quiet", "--out", str(card)]) == 0
+    aileron = find_aircraft(card).card.inputs["aileron"]
+    assert (aileron.position, aileron.position_unit) == ("fcs/effective-aileron-pos", "rad")
+    out = tmp_path / "flight.parquet"
+    words = ["--mission", "doublets", "--speed-mps", "50", "--altitude-m", "500"]
+    assert main(["fly", str(card), *words, "--duration-s", "9", "--out", str(out)]) == 0
+    record = FlightRecord.read(out)
+    command, position = record["aileron_deg"], record["aileron_pos_deg"]
+    steps = np.flatnonzero(np.abs(np.diff(command)) > 3.0) + 1
+    assert len(steps) >= 2
+    # Each aileron slews by 1.57 rad/s, and hysteresis leaves half of .005 rad.
+    assert np.abs(np.diff(position)).max() / record.dt_s <= 1.02 * 1.57 * RAD_DEG
+    assert np.abs((position - command)[steps]).min() > 2.0
+    settled = np.ptp([command[k : len(command) - 20 + k] for k in range(20)], axis=0) == 0.0
+    assert np.abs((position - command)[19:-1][settled]).max() < 1.02 * 0.0025 * RAD_DEG + 0.03
