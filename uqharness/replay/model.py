@@ -35,7 +35,7 @@ from uqharness.simulator import (
     position_factor,
     stage,
 )
-from uqharness.xml import declared_properties
+from uqharness.xml import declared_properties, position_names, without_unit
 
 if TYPE_CHECKING:
     from uqharness.replay.segments import Segment
@@ -55,12 +55,6 @@ _INTEGRATORS = tuple(
 _THIRD_ORDER = 4.0
 """JSBSim's number of Adams-Bashforth's rule of third order. One of second order would add 0.08 % to
 a mode of 8.5 rad/s in runs of 5 ms."""
-_SURFACES = {
-    "elevator": ("fcs/elevator-pos-rad",),
-    "aileron": ("fcs/left-aileron-pos-rad", "fcs/right-aileron-pos-rad"),
-    "rudder": ("fcs/rudder-pos-rad",),
-}
-"""JSBSim's positions: a card names one at most, and none where the linkage bends."""
 _ACTUATOR_DYNAMICS = ("lag", "rate_limit", "hysteresis_width", "deadband_width", "bias")
 
 
@@ -356,11 +350,7 @@ def _strip_dynamics(
     """
     lagging: dict[str, tuple[str, str]] = {}
     number_properties: set[str] = set()
-    surfaces = {
-        _without_unit(name): control
-        for control, entry in card.inputs.items()
-        for name in (*_SURFACES.get(control, ()), *([entry.position] if entry.position else ()))
-    }
+    surfaces = {name: control for control in card.inputs for name in position_names(card, control)}
     for path in sorted(folder.rglob("*.xml")):
         tree = parse_xml(path)
         root = tree.getroot()
@@ -371,14 +361,15 @@ def _strip_dynamics(
                     root.remove(system)
                     changed = True
         for actuator in root.iter("actuator"):
+            name = str(actuator.get("name"))
             output_names = [
-                str(actuator.get("name")),
+                name if "/" in name else f"fcs/{name}",
                 *((o.text or "").strip() for o in actuator.findall("output")),
             ]
             moved_controls = {
-                surfaces[_without_unit(name)]
-                for name in output_names
-                if _without_unit(name) in surfaces
+                surfaces[position]
+                for position in map(without_unit, output_names)
+                if position in surfaces
             }
             # A measured or ideal surface follows its column without delay; stops are left in place.
             if moved_controls & {*direct}:
@@ -405,13 +396,6 @@ def _strip_dynamics(
         if changed:
             tree.write(str(path), encoding="UTF-8", xml_declaration=True)
     return lagging, tuple(sorted(number_properties))
-
-
-def _without_unit(name: str) -> str:
-    """Strip the unit from a position property, so that the variants of one surface compare
-    equal.
-    """
-    return re.sub(r"-(deg|rad|norm)$", "", name if "/" in name else f"fcs/{name}")
 
 
 def _declare_orphans(model: ReplayModel, xml: Path, dt_s: float) -> tuple[str, ...]:

@@ -1,5 +1,6 @@
 from .actuators import SHORTEST_S as SHORTEST_S
 from .actuators import Actuator as Actuator
+from .actuators import all_actuators as all_actuators
 from .actuators import servo_number as servo_number
 from .aircraft import MEMS_NOISE_STD as MEMS_NOISE_STD
 from .aircraft import PROJECT_ROOT as PROJECT_ROOT

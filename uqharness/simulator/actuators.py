@@ -11,6 +11,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -145,38 +146,50 @@ def actuators(aircraft: Aircraft, controls: Sequence[str]) -> dict[str, Actuator
     BadInputError
         If a control has no actuator.
     """
-    control_by_property = {
-        aircraft.card.inputs[c].position: c for c in controls if c in aircraft.card.inputs
-    }
-    fdm = open_aircraft(aircraft)
-    result: dict[str, Actuator] = {}
-    for name in sorted(model_files(aircraft).local):
-        path = aircraft.folder / name
-        for element in parse_xml(path).getroot().iter("actuator"):
-            control = control_by_property.get(element.get("name"))
-            if control is None:
-                continue
-
-            def number(tag: str, default: float, element: Any = element) -> float:
-                text = (element.findtext(tag) or "").strip()
-                if not text:
-                    return default
-                try:
-                    return float(text)
-                except ValueError:
-                    return float(fdm[text])
-
-            # Numbers may be given by a property's name.
-            lag = number("lag", math.nan)
-            factor = position_factor(aircraft.card.inputs[control])
-            stops = (number("clipto/min", -math.inf), number("clipto/max", math.inf))
-            low, high = sorted(factor * stop for stop in stops)
-            rate = abs(factor) * number("rate_limit", math.inf)
-            result[control] = Actuator(None if math.isnan(lag) else lag, rate, low, high)
+    result = all_actuators(aircraft)
     missing = [c for c in controls if c not in result]
     if missing:
         raise BadInputError(
             f"aircraft '{aircraft.name}': no <actuator> has the name of [inputs.{missing[0]}]"
             " position"
         )
+    return {c: result[c] for c in controls}
+
+
+def all_actuators(aircraft: Aircraft) -> dict[str, Actuator]:
+    """Return the actuators that have the name of a control's position, by control.
+
+    JSBSim is opened only if one of their numbers is a property's name. Raises BadInputError if that
+    fails.
+    """
+    control_by_property = {
+        c.position: name for name, c in aircraft.card.inputs.items() if c.position
+    }
+    simulator = cache(lambda: open_aircraft(aircraft))
+
+    def number(element: Any, tag: str, default: float) -> float:
+        """Return the number of an element; it may be given by a property's name."""
+        text = (element.findtext(tag) or "").strip()
+        if not text:
+            return default
+        try:
+            return float(text)
+        except ValueError:
+            return float(simulator()[text])
+
+    result: dict[str, Actuator] = {}
+    for name in sorted(model_files(aircraft).local):
+        for element in parse_xml(aircraft.folder / name).getroot().iter("actuator"):
+            control = control_by_property.get(element.get("name", ""))
+            if control is None:
+                continue
+            lag = number(element, "lag", math.nan)
+            factor = position_factor(aircraft.card.inputs[control])
+            stops = (
+                number(element, "clipto/min", -math.inf),
+                number(element, "clipto/max", math.inf),
+            )
+            low, high = sorted(factor * stop for stop in stops)
+            rate = abs(factor) * number(element, "rate_limit", math.inf)
+            result[control] = Actuator(None if math.isnan(lag) else lag, rate, low, high)
     return result

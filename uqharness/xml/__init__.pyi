@@ -22,6 +22,7 @@ from .aerodynamics import value as value
 from .control_chain import ControlChain as ControlChain
 from .control_chain import ControlFiles as ControlFiles
 from .control_chain import control_chain as control_chain
+from .control_chain import without_unit as without_unit
 from .document import FIELDS as FIELDS
 from .document import Document as Document
 from .document import Insertion as Insertion
@@ -48,6 +49,7 @@ from .document import protocol_xml as protocol_xml
 from .document import read_document as read_document
 from .document import replace_attribute as replace_attribute
 from .document import replace_text as replace_text
+from .servo import position_names as position_names
 from .servo import servo_of_surface as servo_of_surface
 from .servo import servo_property as servo_property
 from .servo import write_actuator as write_actuator

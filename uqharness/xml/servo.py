@@ -12,8 +12,15 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from uqharness.errors import BadInputError
-from uqharness.simulator import Actuator, Aircraft, model_files, position_factor, set_position
-from uqharness.simulator.actuators import actuators
+from uqharness.simulator import (
+    Actuator,
+    Aircraft,
+    Card,
+    all_actuators,
+    model_files,
+    position_factor,
+    set_position,
+)
 from uqharness.xml.control_chain import component_outputs, without_index, without_unit
 from uqharness.xml.document import (
     Document,
@@ -27,6 +34,11 @@ from uqharness.xml.document import (
     replace_text,
 )
 
+_POSITIONS = {
+    "elevator": ("fcs/elevator-pos",),
+    "aileron": ("fcs/left-aileron-pos", "fcs/right-aileron-pos"),
+    "rudder": ("fcs/rudder-pos",),
+}
 _READS = frozenset({"input", "property", "independentVar"})
 
 
@@ -51,6 +63,14 @@ class _Signal:
     writer: tuple[Document, Node] | None
 
 
+def position_names(card: Card, control: str) -> frozenset[str]:
+    """Return the names, without units, of a control's positions: JSBSim's, and the card's, which
+    names one at most, and none where the linkage bends.
+    """
+    names = (*_POSITIONS.get(control, ()), card.inputs[control].position or "")
+    return frozenset(without_unit(without_index(name)) for name in names if name)
+
+
 def servo_of_surface(aircraft: Aircraft, surface: str) -> Actuator | None:
     """Return the servo of a surface, in degrees; one without dynamics if `write_actuator` can add
     it.
@@ -60,13 +80,10 @@ def servo_of_surface(aircraft: Aircraft, surface: str) -> Actuator | None:
     """
     if surface not in aircraft.card.inputs:
         return None
-    if _has_actuator(aircraft, surface):
-        return actuators(aircraft, [surface])[surface]
-    if not aircraft.has_card:
-        return None
+    servo = all_actuators(aircraft).get(surface)
+    if servo is not None or not aircraft.has_card:
+        return servo
     documents = _documents(aircraft, aircraft.folder)
-    position = aircraft.card.inputs[surface].position
-    positions = (position,) if position else (f"fcs/{surface}-pos", f"fcs/left-{surface}-pos")
     moved = {
         without_unit(output)
         for document in documents
@@ -75,7 +92,7 @@ def servo_of_surface(aircraft: Aircraft, surface: str) -> Actuator | None:
         for output in component_outputs(node)
     }
     # An actuator of another name than the position's moves the surface: a second one would hide it.
-    is_hidden = any(without_unit(p) in moved for p in positions)
+    is_hidden = not moved.isdisjoint(position_names(aircraft.card, surface))
     return None if is_hidden or not _signal(documents, aircraft, surface) else Actuator(None)
 
 
@@ -85,7 +102,7 @@ def servo_property(aircraft: Aircraft, surface: str) -> tuple[str, float]:
     """
     card = aircraft.card.inputs[surface]
     name = card.position
-    if name is None or not _has_actuator(aircraft, surface):
+    if name is None or surface not in all_actuators(aircraft):
         name = f"fcs/{surface}-servo-{card.unit}"
     return name, abs(position_factor(card.model_copy(update={"position": name})))
 
@@ -134,14 +151,6 @@ def write_actuator(folder: Path, aircraft: Aircraft, surface: str) -> None:
         if document_edits:
             document.path.write_bytes(apply(document, document_edits))
     set_position(folder / "airframe.toml", surface, name)
-
-
-def _has_actuator(aircraft: Aircraft, surface: str) -> bool:
-    """Return whether an actuator has the name of the surface's position."""
-    try:
-        return bool(actuators(aircraft, [surface]))
-    except BadInputError:
-        return False
 
 
 def _documents(aircraft: Aircraft, folder: Path) -> list[Document]:

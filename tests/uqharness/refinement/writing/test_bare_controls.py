@@ -11,6 +11,7 @@ import pytest
 from sysid.effects.catalogue import subsystem_effects
 from sysid.record import FlightRecord
 from uqharness.cli.main import main
+from uqharness.errors import BadInputError
 from uqharness.identification.linearised import servo_change
 from uqharness.identification.linearised.flight_data import servos_of
 from uqharness.plugin import Bounds, instrument_aircraft, with_card
@@ -117,6 +118,20 @@ def test_replays_know_the_new_actuator(glider, tmp_path):
 def test_a_surface_that_an_actuator_of_another_name_moves_gets_no_second_one():
     aircraft = with_card(find_aircraft("c172x"))
     assert "elevator" not in servos_of(aircraft, (), ())
+    # Nor if the card names another property than JSBSim's, which the actuator moves.
+    inputs = aircraft.card.inputs
+    elevator = inputs["elevator"].model_copy(update={"position": "fcs/pitch-trim-sum"})
+    card = aircraft.card.model_copy(update={"inputs": {**inputs, "elevator": elevator}})
+    assert "elevator" not in servos_of(replace(aircraft, card=card), (), ())
+
+
+def test_an_aircraft_that_cannot_be_opened_is_none_without_actuators():
+    """Its servos' rate limit is a property, so JSBSim must be asked for the number."""
+    aircraft = find_aircraft("espaaro")
+    modes = {"open_loop": {"ap/absent": 1.0}}
+    aircraft = replace(aircraft, card=aircraft.card.model_copy(update={"modes": modes}))
+    with pytest.raises(BadInputError, match="ap/absent"):
+        servos_of(aircraft, (), ())
 
 
 def rudder_doublet(dt_s, before=None):
