@@ -478,12 +478,10 @@ def conditional_interval(value: float, std: float, critical_t: float) -> tuple[f
 
     def excess(theta: float, share: float) -> float:
         """Return the conditional probability beyond t minus a share."""
-        # P(|Z| > c, Z > t) and P(|Z| > c), as upper tails, which are accurate where small.
-        above, tails = (
-            special.ndtr(theta - t),
-            special.ndtr(theta - critical_t) + special.ndtr(-critical_t - theta),
-        )
-        return float(above / tails) - share
+        # P(|Z| > c, Z > t) and P(|Z| > c), as upper tails, in logarithms: they may underflow.
+        above = special.log_ndtr(theta - t)
+        tails = special.log_ndtr([theta - critical_t, -critical_t - theta])
+        return float(np.exp(above - np.logaddexp(*tails))) - share
 
     ends = (
         optimize.brentq(excess, -min(_SEARCH_RANGE, 8.0 + t), t + 8.0, (share,), xtol=1e-10)

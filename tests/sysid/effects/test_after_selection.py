@@ -52,6 +52,13 @@ def test_either_sign_and_any_unit():
     assert conditional_interval(4.6, 1.0, LIMIT) == pytest.approx((1e3 * low, 1e3 * high))
 
 
+def test_a_critical_t_beyond_all_tables_has_an_interval():
+    """Coloured residuals multiply it; the tail below zero is then empty."""
+    low, high = conditional_interval(101.0, 1.0, 100.0)
+    tails = [stats.truncnorm.sf(101.0, 100.0 - m, np.inf, loc=m) for m in (low, high)]
+    assert tails == pytest.approx([0.025, 0.975], rel=1e-6)
+
+
 @pytest.mark.parametrize(
     ("value", "std"), [(1.0, 0.0), (math.nan, 1.0), (1.0, math.nan), (1.0, -1.0)]
 )
