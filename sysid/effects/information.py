@@ -142,7 +142,7 @@ class Information:
             return self.total
         some = np.unique(self.group[segments])
         if np.isin(self.group, some).sum() != np.sum(segments):
-            raise ValueError("segments of one group are in no two parts")
+            raise ValueError("all segments of a group must lie in one part")
         return self._of_groups(some)
 
     def _of_groups(self, groups: Index) -> tuple[FloatArray, FloatArray]:

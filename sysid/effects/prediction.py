@@ -7,9 +7,9 @@ Automatica 16, 1980):
     s = H X + D u + e,   X+ = X - K s,   X' = Phi X+ + G0 u(k) + G1 u(k+1-)
 
 Each segment's start state is estimated: its columns are projected out of everything else. Those of
-the air (`with_air`) are projected out of the other columns: a damping derivative and the gusts that
-it damps are to each other as the autoregressive and moving-average parts of one process, and
-standard errors beside air that is taken to be certain are too small.
+the air (`with_air`) are projected out of the other columns. A damping derivative and the gusts that
+it damps are the autoregressive and the moving-average part of one process, so standard errors would
+be too small if the air were taken as known.
 """
 
 from __future__ import annotations
@@ -258,7 +258,7 @@ def iterate_whitened(
     columns: LazyColumns,
     colour: InnovationColour | None = None,
 ) -> Iterator[WhitenedSegment]:
-    """Yield `whitened` segments one by one, so that their columns need not be held together."""
+    """Yield whitened segments one by one; the columns of two are never held at the same time."""
     for k, one in enumerate(followed):
         start = _Start.of(one, colour)
         more = _WhitenedOnDemand(one, columns, k, colour, start.q)

@@ -3,8 +3,8 @@
 `ReplayEstimator` is output error in calm air: JSBSim replays a flight from its start state, and the
 residuals are sensor noise. `PredictionErrorEstimator` is for turbulence: a Kalman filter predicts
 each sample from earlier ones, with the process noise of a gust model (`sysid.effects.turbulence`).
-All differences between calm and turbulent air are here; the search for effects and the hold-out
-test call the interface.
+`baseline.fit_baseline` chooses one; the search for effects and the hold-out test call the
+interface.
 """
 
 from __future__ import annotations

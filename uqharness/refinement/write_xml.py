@@ -186,7 +186,7 @@ def write_servo(
             line = f"<{tag}>{width:.8g}</{tag}>  {comment(remark)}"
             _write(document, [append_child(document, actuator, [line])])
     else:
-        # Its numbers may stand in the XML as properties: asked of JSBSim, they are what flies.
+        # Numbers in the XML may be properties; JSBSim returns their values.
         text = f"{servo_number(servo, effect.term, value, unit_deg):.8g}"
         declared = declaration(document, name)
         if declared is not None and number_node is not None and number_node.text.strip() == name:

@@ -546,8 +546,8 @@ def point_of(
 ) -> ModelState:
     """Return the point at which a fit of properties ``names`` ended.
 
-    ``sensed`` are the sensors' effects that `observed` took out. What the fit has not estimated is
-    0.
+    ``sensed`` are the sensors' effects that were removed from the data before the fit. What the fit
+    has not estimated is 0.
     """
     estimates = replay_fit.values()
     nuisance = {n: estimates.get(n.replace("lateness/", "delay/"), 0.0) for n in data.nuisance}
