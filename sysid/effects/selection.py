@@ -209,8 +209,8 @@ def select(
     critical_t : float, optional
         Smallest |t| of an effect, by default `critical_t_of`.
     empirical : bool
-        Whether |t| must also exceed critical_t times the spread of all candidates' t (Efron, JASA
-        99, 2004), which is one for noise alone.
+        Whether |t| must also exceed critical_t times the spread of the other candidates' t (Efron,
+        JASA 99, 2004), which is one for noise alone.
     decisive_t : float
         |t| of an entering effect that ends the selection.
 
@@ -322,11 +322,12 @@ class _Stepwise:
         refused = RejectedCandidate(choice.key, choice.t, choice.gain, "")
         if not t > critical_t:
             return replace(refused, reason=f"|t| {t:.1f} is not above {critical_t:.1f}")
-        dispersion = self.dispersion(free, keys)
+        others = [k for k in keys if k != choice.key]
+        dispersion = self.dispersion([*free, choice.key], others)
         if not z > critical_t * dispersion:
             reason = (
                 f"|t| {z:.1f} is not above {critical_t:.1f} times {dispersion:.2f},"
-                " the spread of all candidates"
+                " the spread of the others"
             )
             return replace(refused, reason=reason)
         if choice.confirmed_gain <= 0.0 and abs(choice.difference) > tuned.SIGNIFICANT_Z:
@@ -341,9 +342,10 @@ class _Stepwise:
         return choice
 
     def dispersion(self, free: Sequence[str], keys: Sequence[str]) -> float:
-        """Return the spread of all candidates' t, at least 1; 1 where only noise is counted.
+        """Return the spread of candidates' t, at least 1; 1 where only noise is counted.
 
-        A true effect changes few of the others' t, so their median is robust against it.
+        With the candidate in question among the ``free`` columns: a true effect changes the t of
+        all that resemble it, in a few flights more than their median ignores.
         """
         if not self.empirical:
             return 1.0

@@ -196,6 +196,16 @@ def test_what_all_candidates_see_a_little_is_none_of_them():
     assert [c.key for c in select(present, [], candidates, empirical=True).chosen] == ["c7"]
 
 
+def test_candidates_that_resemble_an_effect_do_not_hide_it():
+    """The effect in question does not count as a spread of the others."""
+    rng = np.random.default_rng(7)
+    effect = draw(rng)
+    columns = {"c0": effect} | {f"c{k}": draw(rng) + 0.6 * effect for k in range(1, 60)}
+    result = evidence(columns, 0.4 * effect + draw(rng))
+    selection = select(result, [], dict.fromkeys(columns, 0.0), empirical=True)
+    assert [c.key for c in selection.chosen] == ["c0"]
+
+
 def test_an_effect_is_found_beside_a_stronger_one_that_its_flights_contradict():
     """``torn`` has the opposite sign in the confirming part: it is refused, and what is steady
     enters all the same.

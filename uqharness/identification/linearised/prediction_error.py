@@ -659,10 +659,10 @@ def _starts(
     model before any fit may be closer. Delays estimated by replays in turbulence may be far off,
     too, and the filter stays near its start.
     """
-    starts = [start]
-    if data.delayed_sensors:
-        in_time = {n: 0.0 if n.startswith("delay/") else v for n, v in start.nuisance.items()}
-        starts.append(replace(start, nuisance=in_time))
+    delays = ("lateness/", "delay/")
+    in_time = {n: 0.0 if n.startswith(delays) else v for n, v in start.nuisance.items()}
+    is_late = any(abs(v - in_time[n]) > PRIOR["lateness"] for n, v in start.nuisance.items())
+    starts = [start, replace(start, nuisance=in_time)][: 1 + is_late]
     values = {n: (initial or {}).get(n, v) for n, v in start.values.items()}
     if values != start.values:
         starts.append(replace(starts[-1], values=values))

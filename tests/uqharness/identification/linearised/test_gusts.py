@@ -23,7 +23,11 @@ from sysid.parallel import SERIAL
 from sysid.units import FT_M
 from tests.helpers.batch_flights import DT_S, aircraft, craft
 from tests.helpers.flown import fly as flown
+from tests.helpers.sixdof import Airframe
+from tests.hidden_effects.flights import Flight, fly
+from tests.hidden_effects.manoeuvres import card
 from uqharness.identification.linearised import prediction_error as refine_gusts
+from uqharness.identification.linearised import stage_models
 from uqharness.identification.linearised.flight_data import ModelState, make_flight_data
 from uqharness.identification.linearised.linearise import (
     Probe,
@@ -44,7 +48,7 @@ from uqharness.identification.linearised.replay_fit import (
     step_from,
     steps_of,
 )
-from uqharness.replay.flights import prepare
+from uqharness.replay.flights import prepare, read_flights
 from uqharness.replay.model import ReplayFolder
 from uqharness.simulator import engine
 from uqharness.simulator.aircraft import find_aircraft
@@ -547,3 +551,21 @@ def test_wind_in_jsbsims_rates_of_alpha_and_beta():
     middle = slice(60, -60)
     assert np.abs(excess[middle]).min(axis=0).max() > 0.01
     np.testing.assert_allclose(by_wind[middle], excess[middle], atol=0.003)
+
+
+def test_controls_start_in_time_if_replays_in_turbulence_have_them_early(tmp_path):
+    """Replays of a flight in gusts took controls to act 0.12 s early. The filter stayed there, in
+    other air, with Cl_da seven standard errors off.
+    """
+    aircraft, path = find_aircraft("espaaro"), tmp_path / "one.parquet"
+    (record,) = fly([Flight(card(1, 22.0, seconds=14.0, w20_kt=12.0), Airframe(), ())])
+    record.write(path)
+    data = make_flight_data(aircraft, *read_flights([path], aircraft, align=False))
+    starts = tuple(s.start for s in data.segments)
+    early = {n: -0.12 if n.startswith("lateness/") else 0.0 for n in data.nuisance}
+    with stage_models(aircraft, data) as models:
+        fit = refine_gusts.gust_refit(
+            models, data, ModelState({}, early, starts), (), {}, SERIAL, iterations=1
+        )
+    point = fit.fit.trajectory.point
+    assert all(point.nuisance[n] == 0.0 for n in early)
