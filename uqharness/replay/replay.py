@@ -447,6 +447,8 @@ def by_run(
     is_command, lags = ~np.asarray(measured), np.asarray(lagging)
     on_time = _undelayed_controls(segment, runs, is_command, lags, limits, initial)
     out = on_time.copy() if late == 0.0 else _delayed(on_time, late)
+    # The first run holds the actuators' initial positions, which no early command moves.
+    out[0, lags] = on_time[0, lags]
     if late > 0.0 and initial is not None:
         # A late command leaves surfaces at their earlier position for a while. The first run
         # belongs to the start itself, so it stays.

@@ -118,6 +118,21 @@ def prepared_step():
     return Segment("step", "f", 0.02 * np.arange(60), controls, start, 100.0, 100.0)
 
 
+def test_early_commands_leave_servos_where_they_begin(aircraft):
+    """The elevator is on its way at the first row; a millisecond more or less moves it little."""
+    step = prepared_step()
+    before = np.repeat(step.controls[:1], 40, axis=0)
+    before[:, 0] += 10.0
+    with ReplayFolder(aircraft) as model:
+        moving = replace(step, before=before)
+        early, punctual, late = (
+            fly_segment(model, moving, {}, late_s=late_s) for late_s in (-1e-3, 0.0, 1e-3)
+        )
+    q = CHANNELS.index("q_radps")
+    change, opposite = (np.abs(x - punctual)[:15, q].max() for x in (early, late))
+    assert change < 2.0 * opposite + 1e-4
+
+
 def test_an_accelerometer_away_from_the_cg_feels_the_rotation(aircraft, clean):
     flight = prepare("f", clean, SURFACES)
     arm = (0.3, 0.1, -0.2)
