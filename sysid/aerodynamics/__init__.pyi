@@ -20,6 +20,7 @@ from .coefficients import stack as stack
 from .coefficients import term_name as term_name
 from .coefficients import variables as variables
 from .flight_equations import LENGTHS as LENGTHS
+from .flight_equations import NX as NX
 from .flight_equations import sines as sines
 from .residuals import MAX_S as MAX_S
 from .residuals import MIN_S as MIN_S
@@ -35,7 +36,6 @@ from .residuals import cut_pieces as cut_pieces
 from .residuals import residual_coefficients as residual_coefficients
 from .residuals import steady_airspeed as steady_airspeed
 from .rigid_body import AIR as AIR
-from .rigid_body import NX as NX
 from .rigid_body import Reference as Reference
 from .rigid_body import RigidSlopes as RigidSlopes
 from .rigid_body import Steps as Steps

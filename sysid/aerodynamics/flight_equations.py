@@ -4,8 +4,8 @@ The state x is V, alpha, beta, p, q, r, phi, theta and, in turbulence, the five 
 `sysid.aerodynamics.air_motion`. Functions take a vector or an array with states in rows and flights
 in columns. `sysid.aerodynamics.rigid_body` linearises flights with the compiled `loops`.
 
-All compiled functions stand in this one file, because numba invalidates its cache by the file of
-the outermost function only.
+The loops and all functions that they call stand in this one file, because numba invalidates its
+cache by the file of the outermost function only.
 """
 
 from __future__ import annotations
@@ -16,6 +16,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 Trig = tuple[Any, Any, Any, Any, Any, Any, Any, Any]
+NX = 13
+"""Number of states in turbulence."""
 LENGTHS = (4.0 / np.pi, 4.0 / np.pi, 3.0 / np.pi)
 """T_p V, T_q V, T_r V in spans [-], MIL-F-8785C 3.7.5."""
 _IMAGINARY = 1e-20
@@ -142,10 +144,13 @@ def level(gusts: Any, x: Any, trig: Trig) -> tuple[Any, Any, Any]:
     elements.
     """
     _, S, W = gust_axes(gusts, x, trig)
+    # A product of complex numbers is faster than a quotient.
+    per_q = 1.0 / (LENGTHS[1] * gusts.q_length * gusts.b)
+    per_r = 1.0 / (LENGTHS[2] * gusts.r_length * gusts.b)
     return (
         x[8],
-        (x[9] + gusts.rotating * gusts.q_share * W) / (LENGTHS[1] * gusts.q_length * gusts.b),
-        (x[10] - gusts.rotating * gusts.r_share * S) / (LENGTHS[2] * gusts.r_length * gusts.b),
+        (x[9] + gusts.rotating * gusts.q_share * W) * per_q,
+        (x[10] - gusts.rotating * gusts.r_share * S) * per_r,
     )
 
 
@@ -206,12 +211,12 @@ def gust_rates(
     dU, dS, dW = gust_axes_rates(gusts, x, state_rates, trig)
     p_h, q_h, r_h = level(gusts, x, trig)
     passing = passing_speed(gusts, x, trig)
-    T_p, _, _ = gust_lags_s(gusts, passing)
+    per_length = 1.0 / (LENGTHS[0] * gusts.p_length * gusts.b)
     first, second = (dS, dW) if gusts.in_body else (dU, dS)
     if gusts.in_earth:
         first, second = heading_rate(x, trig), 0.0 * dS
     return (
-        -p_h / T_p,
+        -passing * p_h * per_length,
         -passing * q_h - gusts.rotating * gusts.q_share * dW,
         -passing * r_h + gusts.rotating * gusts.r_share * dS,
         first,
@@ -448,8 +453,8 @@ def _gust_slopes(x, gusts, rate, slopes, A, B, H, D):  # type: ignore[no-untyped
 
     ``x`` (n, 13) are states in still air, ``rate`` (n, 8) the rates there, ``slopes`` those of
     `_rigid_slopes`. Writes the derivatives of the rates with states and load into ``A`` (n, 13, 13)
-    and ``B`` (n, 13, 6), those of the accelerometers' outputs into the last rows of ``H`` (n, 11,
-    13) and ``D`` (n, 11, 6).
+    and ``B`` (n, 13, 6 or 0), those of the accelerometers' outputs into the last rows of ``H`` (n,
+    11, 13) and ``D`` (n, 11, 6 or 0).
     """
     state = np.empty(13, dtype=np.complex128)
     column, step = np.empty(11), 1.0 / _IMAGINARY
@@ -481,10 +486,13 @@ def _gust_slopes(x, gusts, rate, slopes, A, B, H, D):  # type: ignore[no-untyped
             gust = gust_rates(gusts, state, state_rates, trig)
             for i in range(5):
                 A[k, 8 + i, j] = step * gust[i].imag
+        inputs = B.shape[2]
+        if not inputs:
+            continue
         for i in range(13):
             state[i] = x[k, i]
         trig = complex_step_sines(real_trig, state)
-        for j in range(6):
+        for j in range(inputs):
             for i in range(8):
                 B[k, i, j] = rigid[i, 14 + j]
             for i in range(5):
@@ -502,109 +510,16 @@ def _gust_slopes(x, gusts, rate, slopes, A, B, H, D):  # type: ignore[no-untyped
             )
             gust = gust_rates(gusts, state, state_rates, trig)
             for i in range(5):
-                for j in range(6):
+                for j in range(inputs):
                     B[k, 8 + i, j] += step * gust[i].imag * rigid[c, 14 + j]
 
 
-def _product(X, Y, Z):  # type: ignore[no-untyped-def]
-    """Write X Y into Z, all (x, x)."""
-    size = len(X)
-    for i in range(size):
-        for c in range(size):
-            Z[i, c] = 0.0
-        for k in range(size):
-            a = X[i, k]
-            # A third of the elements of the equations of motion is zero.
-            if a != 0.0:
-                for c in range(size):
-                    Z[i, c] += a * Y[k, c]
-
-
-def _discretise(A, B, h, phi, half_columns, g0, g1):  # type: ignore[no-untyped-def]
-    """Compute transitions (n - 1, x, x) over a step h and over half of it, the latter transposed,
-    and input matrices at both ends of a step (n - 1, x, 6).
-
-    With A the mean of a step's ends, and inputs that are linear over the step. A part H of the step
-    of X = A H has, with phi_2 = 1/2! + X/3! + X^2/4! and phi_1 = 1 + X phi_2,
-
-        F = 1 + X phi_1,   E1 = H phi_2,   E0 = H (phi_1 - phi_2),
-
-    E0 and E1 for inputs at its ends. Two parts make one of twice the length (scaling and squaring):
-
-        F F,   E0 of both = F (E0 + E1/2) + E0/2,   E1 of both = F E1/2 + E0/2 + E1
-    """
-    size = phi.shape[1]
-    X, P, Q, F = (
-        np.empty((size, size)),
-        np.empty((size, size)),
-        np.empty((size, size)),
-        np.empty((size, size)),
-    )
-    for k in range(len(phi)):
-        fastest = 0.0
-        for i in range(size):
-            for j in range(size):
-                X[i, j] = 0.5 * (A[k, i, j] + A[k + 1, i, j])
-            for j in range(i + 1):
-                fastest = max(fastest, abs(X[i, j] * X[j, i]))
-        # The terms left out are X^5/5!, at most 3e-4.
-        doublings = 1
-        while doublings < 12 and 0.5**doublings * h * np.sqrt(fastest) > 0.5:
-            doublings += 1
-        part = 0.5**doublings * h
-        for i in range(size):
-            for j in range(size):
-                X[i, j] *= part
-                P[i, j] = X[i, j] / 24.0
-            P[i, i] += 1.0 / 6.0
-        _product(X, P, Q)
-        for i in range(size):
-            Q[i, i] += 0.5
-        _product(X, Q, P)
-        for i in range(size):
-            P[i, i] += 1.0
-        _product(X, P, F)
-        for i in range(size):
-            F[i, i] += 1.0
-            for j in range(size):
-                P[i, j] = part * (P[i, j] - Q[i, j])
-                Q[i, j] *= part
-        # From here P is E0 and Q is E1.
-        for _ in range(doublings):
-            for i in range(size):
-                for j in range(size):
-                    half_columns[k, j, i] = F[i, j]
-                    X[i, j] = P[i, j] + 0.5 * Q[i, j]
-            _product(F, X, phi[k])
-            for i in range(size):
-                for j in range(size):
-                    X[i, j] = 0.5 * Q[i, j]
-                    Q[i, j] += 0.5 * P[i, j]
-                    P[i, j] = phi[k, i, j] + 0.5 * P[i, j]
-            _product(F, X, phi[k])
-            for i in range(size):
-                for j in range(size):
-                    Q[i, j] += phi[k, i, j]
-                    X[i, j] = F[i, j]
-            _product(X, X, F)
-        for i in range(size):
-            for j in range(size):
-                phi[k, i, j] = F[i, j]
-            for c in range(6):
-                g0[k, i, c] = g1[k, i, c] = 0.0
-            for j in range(size):
-                for c in range(6):
-                    g0[k, i, c] += P[i, j] * B[k, j, c]
-                    g1[k, i, c] += Q[i, j] * B[k + 1, j, c]
-
-
 class Loops(NamedTuple):
-    """The compiled loops: `_rates`, `_rigid_slopes`, `_gust_slopes`, `_discretise`."""
+    """The compiled loops: `_rates`, `_rigid_slopes`, `_gust_slopes`."""
 
     rates: Any
     rigid_slopes: Any
     gust_slopes: Any
-    discretise: Any
 
 
 @cache
@@ -626,8 +541,6 @@ def loops() -> Loops:
         passing_speed,
         gust_rates,
     )
-    for part in (sines, complex_step_sines, *air, flow_rates, motion, _product):
+    for part in (sines, complex_step_sines, *air, flow_rates, motion):
         jitable(part)
-    return Loops(
-        compiled(_rates), compiled(_rigid_slopes), compiled(_gust_slopes), compiled(_discretise)
-    )
+    return Loops(compiled(_rates), compiled(_rigid_slopes), compiled(_gust_slopes))

@@ -53,8 +53,6 @@ OUTPUTS = (
     "ay_mps2",
     "az_mps2",
 )
-NX = 13
-"""Number of states in turbulence."""
 _MAX_STEPS = 64
 """Integration steps per row at most: no flight follows a model that is faster."""
 _WIND_HZ = 1.0
@@ -203,17 +201,24 @@ class RigidSlopes:
         mean_rate = 0.5 * (psi_rates(self.x[:-1]) + psi_rates(self.end))
         return np.asarray(self.turn[:-1] + self.dt_s * mean_rate)
 
-    def with_gusts(self, gusts: GustStates | None) -> Steps:
-        """Return the linear system in air with such gusts; None for still air."""
+    def with_gusts(self, gusts: GustStates | None, inputs: bool = True) -> Steps:
+        """Return the linear system in air with such gusts; None for still air.
+
+        Without ``inputs`` it has no extra coefficients, which a likelihood does not need.
+        """
+        # Imported on demand, because numba takes a third of a second to load.
+        from sysid.aerodynamics.transitions import discretise, replace_state
+
         states = with_gust_states(self.x, gusts, self.turn)
         n, size = states.shape
-        A, B = np.empty((n, size, size)), np.empty((n, size, 6))
-        H, D = np.zeros((n, len(OUTPUTS), size)), np.zeros((n, len(OUTPUTS), 6))
+        count = 6 if inputs else 0
+        A, B = np.empty((n, size, size)), np.empty((n, size, count))
+        H, D = np.zeros((n, len(OUTPUTS), size)), np.zeros((n, len(OUTPUTS), count))
         for i, name in enumerate(OUTPUTS[:8]):
             H[:, i, STATES.index(name)] = 1.0
         if gusts is None:
-            A[:], B[:] = self.slopes[:, :8, :8], self.slopes[:, :8, 14:]
-            H[:, 8:], D[:, 8:] = self.slopes[:, 8:, :8], self.slopes[:, 8:, 14:]
+            A[:], B[:] = self.slopes[:, :8, :8], self.slopes[:, :8, 14 : 14 + count]
+            H[:, 8:], D[:, 8:] = self.slopes[:, 8:, :8], self.slopes[:, 8:, 14 : 14 + count]
         else:
             along = states
             if self.gust_ahead_mps is not None and not (gusts.in_body or gusts.in_earth):
@@ -223,10 +228,13 @@ class RigidSlopes:
             loops().gust_slopes(along, gusts, self.rate, self.slopes, A, B, H, D)
         # Gusts with axes of one azimuth are JSBSim's, and so are the rates of alpha and beta then.
         flow = self.flow if gusts is not None and gusts.in_earth else None
-        to_z = None if flow is None else flow.apply(A, B, H, D)
+        start_to_z = np.eye(size)
+        if flow is not None:
+            start_to_z[:8] += flow.gain[0] @ A[0, 1:3]
+            replace_state(flow.gain, A, B, H, D)
         phi, half_columns = np.empty((2, n - 1, size, size))
-        g0, g1 = np.empty((2, n - 1, size, 6))
-        loops().discretise(A, B, self.dt_s, phi, half_columns, g0, g1)
+        g0, g1 = np.empty((2, n - 1, size, count))
+        discretise(A, B, self.dt_s, phi, half_columns, g0, g1)
         # Still air stays still over a step of the model.
         defect = np.zeros((n - 1, size))
         if self.end is not None:
@@ -237,8 +245,8 @@ class RigidSlopes:
         moved = self.x[0] + 1e-20j * np.eye(8)
         start = np.ascontiguousarray(with_gust_states(moved, gusts, self.turn[0]).imag.T) / 1e-20
         y_ref = self.y_ref.copy()
-        if flow is not None and to_z is not None:
-            start = to_z[0] @ start
+        if flow is not None:
+            start = start_to_z @ start
             by_wind = np.einsum("nij,nj->ni", flow.slope, flow.by_wind)
             defect[:, :8] += 0.5 * self.dt_s * (by_wind[:-1, :8] + by_wind[1:, :8])
             defect[:, :8] -= np.einsum("nij,nj->ni", flow.gain[1:], flow.change)
@@ -289,17 +297,6 @@ class SimulatedFlow:
     def gain(self) -> FloatArray:
         """h L (n, 8, 2)."""
         return self.frame_s * self.slope[:, :8]
-
-    def apply(self, A: FloatArray, B: FloatArray, H: FloatArray, D: FloatArray) -> FloatArray:
-        """Turn a system (n, ...) of x into that of z, in place; return dz/dx (n, x, x)."""
-        by_input = self.gain @ B[:, 1:3]
-        to_z = np.tile(np.eye(A.shape[1]), (len(A), 1, 1))
-        to_z[:, :8] += self.gain @ A[:, 1:3]
-        to_x = np.linalg.inv(to_z)
-        A[:], H[:] = A @ to_x, H @ to_x
-        B -= A[:, :, :8] @ by_input
-        D -= H[:, :, :8] @ by_input
-        return to_z
 
 
 def rigid_slopes(

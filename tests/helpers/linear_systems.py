@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 from scipy.linalg import sqrtm
 
-from sysid.aerodynamics.rigid_body import NX, OUTPUTS, Steps
+from sysid.aerodynamics import NX
+from sysid.aerodynamics.rigid_body import OUTPUTS, Steps
 
 
 def system(n: int, seed: int) -> Steps:

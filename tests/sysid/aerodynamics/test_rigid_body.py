@@ -10,13 +10,12 @@ import numpy as np
 import pytest
 from scipy.linalg import expm
 
+from sysid.aerodynamics import NX
 from sysid.aerodynamics import flight_equations as equations
 from sysid.aerodynamics.air_motion import GustStates
 from sysid.aerodynamics.coefficients import MassProperties
-from sysid.aerodynamics.flight_equations import loops
 from sysid.aerodynamics.rigid_body import (
     AIR,
-    NX,
     Reference,
     linearise,
     rates,
@@ -24,6 +23,7 @@ from sysid.aerodynamics.rigid_body import (
     unforced,
     with_gust_states,
 )
+from sysid.aerodynamics.transitions import discretise, replace_state
 from tests.helpers.open_equations import OpenEquations
 
 MASS = MassProperties(
@@ -268,7 +268,7 @@ def test_a_step_is_the_exponential_and_inputs_are_linear_in_between(
     both_A, both_B = np.stack([A, A]), np.stack([B, B])
     phi, half_columns = np.empty((2, 1, 4, 4))
     g0, g1 = np.empty((2, 1, 4, 6))
-    loops().discretise(both_A, both_B, h, phi, half_columns, g0, g1)
+    discretise(both_A, both_B, h, phi, half_columns, g0, g1)
     # A ramp of the input is another state.
     wide = np.zeros((16, 16))
     wide[:4, :4], wide[:4, 4:10], wide[4:10, 10:] = A, B, np.eye(6)
@@ -278,6 +278,19 @@ def test_a_step_is_the_exponential_and_inputs_are_linear_in_between(
     np.testing.assert_allclose(g0[0] + g1[0], exact[:4, 4:10], atol=tolerance)
     np.testing.assert_allclose(g1[0], exact[:4, 10:] / h, atol=tolerance)
     assert np.abs(g1[0] - g0[0]).max() > 1e-4
+
+
+def test_a_state_is_replaced_as_by_the_inverse_matrix() -> None:
+    """z = x + G a of two rates a: dz/dt and y with z and the inputs."""
+    rng = np.random.default_rng(6)
+    A, B, H, D = (rng.standard_normal((3, 11, k)) for k in (11, 6, 11, 6))
+    gain = 0.2 * rng.standard_normal((3, 8, 2))
+    wide = np.concatenate([gain, np.zeros((3, 3, 2))], axis=1)
+    to_x, by_input = np.linalg.inv(np.eye(11) + wide @ A[:, 1:3]), wide @ B[:, 1:3]
+    expected = A @ to_x, B - A @ to_x @ by_input, H @ to_x, D - H @ to_x @ by_input
+    replace_state(gain, A, B, H, D)
+    for result, exact in zip((A, B, H, D), expected, strict=True):
+        np.testing.assert_allclose(result, exact, atol=1e-12)
 
 
 def test_slopes_that_are_no_numbers_are_refused() -> None:
@@ -307,7 +320,6 @@ def test_what_python_calls_is_what_is_compiled() -> None:
         "gust_rates",
         "flow_rates",
         "motion",
-        "_product",
     ):
         assert getattr(equations, name).__module__ == equations.__name__
 

@@ -7,7 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from sysid.aerodynamics.rigid_body import NX, OUTPUTS
+from sysid.aerodynamics import NX
+from sysid.aerodynamics.rigid_body import OUTPUTS
 from sysid.effects.coloured_innovations import innovation_colour, past_rows
 from sysid.effects.information import fit_colour, likeliest_colour, normal_equations, score_tests
 from sysid.effects.prediction import Columns, LazyColumns, filter_segments, iterate_whitened

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from sysid.aerodynamics import transitions
 from sysid.aerodynamics.air_motion import GustStates
 from sysid.aerodynamics.flight_equations import loops
 from sysid.aerodynamics.rigid_body import OUTPUTS, MassProperties, Reference, linearise
@@ -30,6 +31,7 @@ def compiled() -> dict[str, int]:
             "backward",
         )
     } | loops()._asdict()
+    result |= {"discretise": transitions.discretise, "replace_state": transitions.replace_state}
     return {name: len(loop.signatures) for name, loop in result.items()}
 
 
@@ -54,13 +56,15 @@ def test_a_flight_compiles_nothing_that_was_not_compiled_ahead() -> None:
         np.zeros(3),
         False,
         by_flow=rng.standard_normal((N, 6, 2)),
+        frame_s=0.01,
     )
     measured = rng.standard_normal((N, M + 3))[:, :M]
     measured[3, 4] = np.nan
     inputs = {"a": (-1, wide[:, :6]), "b": (2, wide[:, 7])}
     columns = [Columns(("a", "b", "c"), inputs, {"c": rng.standard_normal((N, M))})]
     process = Process(np.full((1, 13), 0.1), np.full((1, 13), 0.2))
-    for air in (None, GustStates(3.7, rotating=False)):
+    in_earth = GustStates(3.7, turning_with=False, in_earth=True)
+    for air in (None, in_earth, GustStates(3.7, rotating=False)):
         steps = linearise(reference, MASS, gusts=air)
         whiten([steps], [measured], columns, range(M), np.ones(M), None if air is None else process)
     followed = filter_segments([steps], [measured], range(M), np.ones(M), process)
@@ -73,7 +77,7 @@ def test_a_flight_compiles_nothing_that_was_not_compiled_ahead() -> None:
 def test_another_kind_of_array_would_be_seen() -> None:
     compile_loops()
     before = compiled()
-    loops().discretise(
+    transitions.discretise(
         np.zeros((2, 4, 4)),
         np.zeros((2, 4, 12))[:, :, ::2],
         0.1,

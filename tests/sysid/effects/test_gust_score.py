@@ -10,7 +10,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from sysid.aerodynamics.rigid_body import NX
+from sysid.aerodynamics import NX
 from sysid.effects.prediction import Columns, neg2_log_likelihood, whiten
 from sysid.effects.turbulence import AirLikelihood
 from sysid.estimation.kalman import Process

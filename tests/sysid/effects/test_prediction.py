@@ -10,7 +10,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from sysid.aerodynamics.rigid_body import NX, OUTPUTS, Steps
+from sysid.aerodynamics import NX
+from sysid.aerodynamics.rigid_body import OUTPUTS, Steps
 from sysid.effects.information import (
     corrected_estimate,
     corrected_estimates,

@@ -10,8 +10,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from sysid.aerodynamics import NX
 from sysid.aerodynamics.air_motion import GustStates
-from sysid.aerodynamics.rigid_body import NX, Reference, Steps, linearise
+from sysid.aerodynamics.rigid_body import Reference, Steps, linearise
 from sysid.effects import turbulence
 from sysid.effects.tuned import CERTAIN_T
 from sysid.effects.turbulence import (

@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from sysid.aerodynamics.rigid_body import NX, Steps
+from sysid.aerodynamics import NX
+from sysid.aerodynamics.rigid_body import Steps
 from sysid.estimation.kalman import MeasuredSystem, gains, whiten_innovations
 from tests.helpers.linear_systems import system
 

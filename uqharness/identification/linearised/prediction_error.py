@@ -672,6 +672,8 @@ def _starts(
 class _LinearSystems:
     """Linear systems of the segments for different airs; the last ones are cached.
 
+    A call returns systems without inputs, for likelihoods; `all` those with inputs.
+
     Attributes
     ----------
     measured : list of (n, m) array
@@ -684,19 +686,22 @@ class _LinearSystems:
         self.data, self.trajectory, self.probes, self.pool = data, trajectory, probes, pool
         self.measured = aligned_outputs(data, trajectory.point)
         self.slopes = slopes_of(probes, pool)
-        self.systems: OrderedDict[tuple[int, GustStates], Steps] = OrderedDict()
+        self.systems: OrderedDict[tuple[int, GustStates, bool], Steps] = OrderedDict()
 
-    def __call__(self, some: Sequence[int], states: Sequence[GustStates]) -> list[Steps]:
-        requests = list(zip(some, states, strict=True))
+    def __call__(
+        self, some: Sequence[int], states: Sequence[GustStates], inputs: bool = False
+    ) -> list[Steps]:
+        requests = [(k, air, inputs) for k, air in zip(some, states, strict=True)]
         missing, point = [key for key in requests if key not in self.systems], self.trajectory.point
         systems = steps_of(
-            [self.slopes[k] for k, _ in missing],
-            [air for _, air in missing],
+            [self.slopes[k] for k, *_ in missing],
+            [air for _, air, _ in missing],
             self.data,
             point,
             self.pool,
+            inputs=inputs,
         )
-        for (k, active), s in zip(missing, systems, strict=True):
+        for (k, active, _), s in zip(missing, systems, strict=True):
             which, segment = self.data.output_rows, self.data.segments[k]
             share, rows = jump_share(point, segment.flight), delay_rows(self.data, segment, point)
             # Outputs are those at the reference, biases added.
@@ -713,7 +718,7 @@ class _LinearSystems:
             s.y_ref[:, which] = with_sensor_errors(
                 y, self.data, segment, point, shifted_rows=rows, behind=behind
             )
-            self.systems[k, active] = (
+            self.systems[k, active, inputs] = (
                 replace(s, H=output_matrix_between_rows(s, which, part)) if any(part) else s
             )
         for key in requests:
@@ -756,7 +761,7 @@ class _LinearSystems:
 
     def all(self, states: Sequence[GustStates]) -> list[Steps]:
         """Return the systems of all segments."""
-        return self(range(len(self.probes)), states)
+        return self(range(len(self.probes)), states, inputs=True)
 
 
 def output_matrix_between_rows(

@@ -181,14 +181,18 @@ def steps_of(
     data: FlightData,
     point: ModelState,
     pool: Processes = SERIAL,
+    *,
+    inputs: bool = True,
 ) -> list[Steps]:
     """Return the linear systems of the segments, with the sensors' factors in the outputs.
 
-    ``air`` states for each segment how gusts act; None in calm air.
+    ``air`` states for each segment how gusts act; None in calm air. ``inputs`` as in
+    `RigidSlopes.with_gusts`.
     """
     gain, forward = np.ones((len(STEP_OUTPUTS), 1)), vane_offset_m(point)
     gain[data.output_rows, 0] = [sensor_gain(c, point) for c in data.outputs]
-    systems = list(pool(_with_gusts, [*zip(slopes, air, strict=True)]))
+    jobs = [(rigid, gusts, inputs) for rigid, gusts in zip(slopes, air, strict=True)]
+    systems = list(pool(_with_gusts, jobs))
     if forward:
         systems = [
             replace(steps, H=steps.H + forward * vane_shift_slopes(rigid.x, gusts, rigid.turn))
@@ -199,10 +203,10 @@ def steps_of(
     return [replace(steps, H=steps.H * gain, D=steps.D * gain) for steps in systems]
 
 
-def _with_gusts(job: tuple[RigidSlopes, GustStates | None]) -> Steps:
+def _with_gusts(job: tuple[RigidSlopes, GustStates | None, bool]) -> Steps:
     """Return the linear system of one segment."""
-    rigid, gusts = job
-    return rigid.with_gusts(gusts)
+    rigid, gusts, inputs = job
+    return rigid.with_gusts(gusts, inputs)
 
 
 def parameter_columns(
