@@ -182,13 +182,19 @@ class EffectSearch:
         reference = baseline = context.model_without_effects(information)
         models: list[CandidateModel] = []
         visited: set[frozenset[str]] = set()
+        doubts: set[str] = set()
         trail = [f"round 1: {line}" for line in baseline.reselection.trail]
         competitors_left = tuned.MAX_COMPETITORS
         for number in range(2, MAX_MODELS + 2):
-            # Propose. Stop at a model that proposes itself.
-            proposal = reference.reselection
+            # Propose. Stop at a model that proposes itself, unless its linearisation may be the
+            # reason for refusing a candidate.
+            proposal, doubted = reference.reselection, None
             if reference.is_stationary or not proposal.chosen:
-                break
+                doubted = proposal.refused
+                if doubted is None or doubted.key in doubts or abs(doubted.t) <= context.critical_t:
+                    break
+                doubts.add(doubted.key)
+                proposal = with_refused(context, reference, doubted.key)
             # Fit. The model is None if neither replays nor a filter follow the flights with it.
             self.callback(f"round {number}: fitting {listed(proposal.values)}")
             name = f"{label}{number}"
@@ -209,6 +215,10 @@ class EffectSearch:
             if model.keys != proposal.values.keys():
                 winner, loser = listed(model.keys), listed(proposal.values)
                 trail.append(f"round {number}: {winner} has a lower criterion than {loser}")
+            new = model.keys - reference.keys
+            if doubted is not None and not new <= selected_beside(context, model, reference):
+                trail.append(f"round {number}: {listed(new)}: refused in simulation, too")
+                break
             # Keep the best of each set of samples, and the last.
             models = [*(m for m in models if m is best_model([*models, m])), model]
             reference = model
@@ -296,6 +306,24 @@ def best_model(models: Sequence[CandidateModel]) -> CandidateModel | None:
     """
     comparable = [m for m in models if m.estimator.same_samples(m.keys, models[-1].keys)]
     return min(comparable, key=lambda m: m.criterion, default=None)
+
+
+def with_refused(context: SearchContext, reference: CandidateModel, key: str) -> Selection:
+    """Return the proposal of a model's effects and of a candidate of which parts of the flights, or
+    other candidates, raise a doubt.
+
+    They may do so because the model lacks it: about a wrong model, linearisation errors differ
+    between manoeuvres.
+    """
+    keys = [*reference.values, key]
+    return Selection(estimate_selected(reference.information, context.free, keys, ()))
+
+
+def selected_beside(
+    context: SearchContext, model: CandidateModel, reference: CandidateModel
+) -> frozenset[str]:
+    """Return the effects that are selected about a simulation, beside those of ``reference``."""
+    return frozenset(context.select(model.information, context.free, [*reference.values]).values)
 
 
 def competing_proposals(

@@ -112,6 +112,36 @@ def test_where_no_estimator_follows_the_flights_candidates_that_explain_as_much_
     assert any("neither replayed nor filtered" in line for line in blocked.trail)
 
 
+class WronglyReplayed(LinearFlights):
+    """Flights of which the model without effects replays the second wrongly, by ``error``."""
+
+    error: float = 0.0
+
+    def linearise(self, values, names):
+        """Return the information."""
+        if any(n.startswith("effect/") for n in values):
+            return super().linearise(values, names)
+        wrong = LinearFlights({**self.truth, "effect/Cm/alpha^2": self.error})
+        flights = LinearFlights(self.truth)
+        flights.measured[1] = wrong.measured[1]
+        return flights.linearise(values, names)
+
+
+@pytest.mark.parametrize(
+    ("size", "error", "keys"),
+    [(60.0, -30.0, {"effect/Cm/alpha^2"}), (0.0, 60.0, set())],
+)
+def test_an_effect_whose_parts_differ_by_a_wrong_replay_is_simulated(size, error, keys):
+    truth = WronglyReplayed(flights(**{"alpha^2": size}).truth)
+    truth.error = error
+    context, information = truth.context()
+    selection = context.select(information, context.free)
+    assert not selection.chosen
+    assert selection.refused is not None
+    assert "parts" in selection.refused.reason
+    assert search(truth).model.keys == keys
+
+
 # Which other candidates compete, from normal equations with known columns.
 
 

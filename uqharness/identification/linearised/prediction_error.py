@@ -620,6 +620,9 @@ def likeliest_start(
     for search, _, systems in searches[1:]:
         systems.systems.clear()
         search.forget()
+    # The structure of the air does not depend on delays.
+    nuisance = [at.point.nuisance for _, at, _ in searches]
+    searches = [s for s, one in zip(searches, nuisance, strict=True) if one == nuisance[0]]
     best, lowest, gain = None, np.inf, np.inf
     for search, at, systems in searches:
         # From a start this much less likely, the structure of the air would have to gain more
@@ -665,7 +668,7 @@ def _starts(
     starts = [start, replace(start, nuisance=in_time)][: 1 + is_late]
     values = {n: (initial or {}).get(n, v) for n, v in start.values.items()}
     if values != start.values:
-        starts.append(replace(starts[-1], values=values))
+        starts += [replace(s, values=values) for s in starts]
     return starts
 
 
