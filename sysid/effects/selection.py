@@ -209,8 +209,8 @@ def select(
     critical_t : float, optional
         Smallest |t| of an effect, by default `critical_t_of`.
     empirical : bool
-        Whether |t| must also exceed critical_t times the spread of the other candidates' t (Efron,
-        JASA 99, 2004), which is one for noise alone.
+        Whether |t| must also exceed critical_t, at most Sidak's value, times the spread of the
+        other candidates' t (Efron, JASA 99, 2004), which is one for noise alone.
     decisive_t : float
         |t| of an entering effect that ends the selection.
 
@@ -324,9 +324,11 @@ class _Stepwise:
             return replace(refused, reason=f"|t| {t:.1f} is not above {critical_t:.1f}")
         others = [k for k in keys if k != choice.key]
         dispersion = self.dispersion([*free, choice.key], others)
-        if not z > critical_t * dispersion:
+        # Errors of the gust model are in critical_t already; the spread is of what chance gives.
+        chance_t = min(critical_t, sidak_critical_t(len(self.required_gains)))
+        if not z > chance_t * dispersion:
             reason = (
-                f"|t| {z:.1f} is not above {critical_t:.1f} times {dispersion:.2f},"
+                f"|t| {z:.1f} is not above {chance_t:.1f} times {dispersion:.2f},"
                 " the spread of the others"
             )
             return replace(refused, reason=reason)

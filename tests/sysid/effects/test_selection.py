@@ -206,6 +206,22 @@ def test_candidates_that_resemble_an_effect_do_not_hide_it():
     assert [c.key for c in selection.chosen] == ["c0"]
 
 
+def test_a_limit_above_that_of_chance_is_not_multiplied_by_the_spread():
+    """|t| of 7.5 beside others that spread by 1.7: chance gives 6.1."""
+    rng = np.random.default_rng(8)
+    misfit = draw(rng)
+    columns = {f"c{k}": draw(rng) + rng.uniform(-0.5, 0.5) * misfit for k in range(60)}
+    result = evidence(columns, 0.12 * misfit + draw(rng) + 0.3 * columns["c7"])
+    candidates = dict.fromkeys(columns, 0.0)
+    (effect,) = select(result, [], candidates, critical_t=6.0, empirical=True).chosen
+    assert effect.key == "c7"
+    assert 7.0 < effect.t < 9.0
+    others = [k for k in columns if k != "c7"]
+    spread = np.median(np.abs(score_tests(result, ["c7"], others).t)) / 0.6745
+    assert 1.4 < spread < 2.0
+    assert effect.t < 6.0 * spread
+
+
 def test_an_effect_is_found_beside_a_stronger_one_that_its_flights_contradict():
     """``torn`` has the opposite sign in the confirming part: it is refused, and what is steady
     enters all the same.
