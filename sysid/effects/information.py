@@ -515,23 +515,34 @@ def _fit_colour(
     colour: InnovationColour | None = None,
     *,
     fixed: bool = False,
+    plain: Information | None = None,
 ) -> tuple[InnovationColour | None, Information]:
-    """Return `fit_colour` from the innovations' ``changes`` (n, m, K) with the columns."""
+    """Return `fit_colour` from the innovations' ``changes`` (n, m, K) with the columns.
+
+    ``plain`` is the information without a colour, of these columns at least.
+    """
 
     def information(colour: InnovationColour | None) -> Information:
         """Return the normal equations with a colour."""
         white = whiten_changes(followed, changes, colour)
         return normal_equations(white, names, [0] * len(white), prior)
 
-    current = information(colour)
-    if fixed:
-        return colour, current
-    plain = information(None) if colour else current
-    for _ in range(COLOUR_ITERATIONS):
-        colour = innovation_colour(plain.residual(current.step()[0]))
-        if colour is None:
-            return None, plain
+    if plain is None:
         current = information(colour)
+        if fixed:
+            return colour, current
+        plain = information(None) if colour else current
+        step = current.step()[0]
+    else:
+        step = plain.estimates(plain.index(names))[plain.index(names)]
+    for _ in range(COLOUR_ITERATIONS):
+        delta = np.zeros(len(plain.names))
+        delta[plain.index(names)] = step
+        colour = innovation_colour(plain.residual(delta))
+        if colour is None:
+            return None, plain if plain.names == tuple(names) else information(None)
+        current = information(colour)
+        step = current.step()[0]
     return colour, current
 
 
@@ -582,9 +593,11 @@ def likeliest_colour(
     # One pass through the filter serves all colours.
     some = [*free, *strongest]
     passed = [f.with_columns(columns.some(k, some)).columns for k, f in enumerate(followed)]
+    white = whiten_changes(followed, passed, None)
+    shared = normal_equations(white, some, [0] * len(white), prior)
     for place, key in enumerate(strongest, len(free)):
         with_effect = [np.take(change, [*range(len(free)), place], 2) for change in passed]
-        trial = _fit_colour(followed, [*free, key], with_effect, prior)
+        trial = _fit_colour(followed, [*free, key], with_effect, prior, plain=shared)
         cost = least_cost(*trial) + required_gains[key]
         if cost < base_cost:
             base_cost, colour = cost, trial[0]

@@ -13,6 +13,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from cachetools import LRUCache
 
 from sysid.aerodynamics import (
     AIR,
@@ -191,8 +192,13 @@ def predict(
     point: ModelState,
     pool: Processes,
     path: Sequence[PredictedStates] | None = None,
+    *,
+    control_paths: ControlPaths | None = None,
 ) -> tuple[Trajectory, list[Probe]]:
-    """Probe the model along the measured flight, or along the predicted ``path``."""
+    """Probe the model along the measured flight, or along the predicted ``path``.
+
+    ``control_paths`` are those of this model and flight, if there are several predictions.
+    """
     x = measured_states(data, point) if path is None else [states.x for states in path]
     height = [np.array(c["h_m"], dtype=float) for c in data.channels]
     trajectory = Trajectory(
@@ -202,10 +208,8 @@ def predict(
         height,
         float("nan"),
     )
-    model, direct_model = models.model, models.direct_model
-    shifted, shares = data_about_delay(model, data, point)
-    controls = _between([positions(model, acts, point) for acts in shifted], shares)
-    offsets = _between([path_deviations(model, acts, point) for acts in shifted], shares)
+    direct_model = models.direct_model
+    controls, offsets = (control_paths or ControlPaths(models.model, data)).at(point)
     probes = probe_trajectory(direct_model, data, trajectory, controls, pool, consistent=False)
     curved = zip(
         probes,
@@ -247,23 +251,53 @@ def _flows_by_wind(data: FlightData, path: Sequence[FloatArray]) -> list[FloatAr
     return out
 
 
-def data_about_delay(
-    model: ReplayModel, data: FlightData, point: ModelState
-) -> tuple[list[FlightData], list[float]]:
-    """Return the data with the controls' delay at the grid points below and above a point's.
+class ControlPaths:
+    """Positions of the controls of some flights, with the delays and servos of a point.
 
-    Also returns each segment's share of the way from the lower to the upper one. There is one
-    set alone if all delays lie on the grid. With the nearest grid point alone, estimates half-way
-    between two points would alternate without end.
+    Those at the last points of the grid of delays are cached: iterations move the delays within a
+    point's neighbours.
     """
-    places = {
-        s.flight: control_delay_s(point, s.flight) / s.dt_s / DELAY_GRID for s in data.segments
-    }
-    before = {flight: float(np.floor(place)) for flight, place in places.items()}
-    shares = [places[s.flight] - before[s.flight] for s in data.segments]
-    return [
-        _with_delays(model, data, before, extra) for extra in (0.0, 1.0) if not extra or any(shares)
-    ], shares
+
+    def __init__(self, model: ReplayModel, data: FlightData) -> None:
+        self._model, self._data = model, data
+        self._cache: LRUCache[object, tuple[list[FloatArray], list[FloatArray]]] = LRUCache(4)
+
+    def at(self, point: ModelState) -> tuple[list[FloatArray], list[FloatArray]]:
+        """Return `positions` and `path_deviations` at a point.
+
+        They are interpolated between the grid points below and above its delays. With the nearest
+        grid point alone, estimates half-way between two points would alternate without end.
+        """
+        places = {
+            s.flight: control_delay_s(point, s.flight) / s.dt_s / DELAY_GRID
+            for s in self._data.segments
+        }
+        before = {flight: float(np.floor(place)) for flight, place in places.items()}
+        shares = [places[s.flight] - before[s.flight] for s in self._data.segments]
+        first = self._on_grid(before, 0.0, point)
+        last = self._on_grid(before, 1.0, point) if any(shares) else first
+        controls, deviations = (
+            [a + share * (b - a) for a, b, share in zip(lower, upper, shares, strict=True)]
+            for lower, upper in zip(first, last, strict=True)
+        )
+        return controls, deviations
+
+    def _on_grid(
+        self, places: Mapping[str, float], offset: float, point: ModelState
+    ) -> tuple[list[FloatArray], list[FloatArray]]:
+        """Return both with delays of ``places`` + ``offset`` of each flight, with a point's
+        servos.
+        """
+        properties = self._data.properties(point)
+        servos = [(name, properties.get(name)) for name in self._model.servos]
+        key = (*places.items(), offset, *servos)
+        if key not in self._cache:
+            data = _with_delays(self._model, self._data, places, offset)
+            self._cache[key] = (
+                positions(self._model, data, point),
+                path_deviations(self._model, data, point),
+            )
+        return self._cache[key]
 
 
 def _with_delays(
@@ -280,12 +314,6 @@ def _with_delays(
             recorded, f.with_delayed_commands(delay_s), tuple(model.measured)
         )
     return replace(data, segments=tuple(pieces))
-
-
-def _between(ends: Sequence[Sequence[FloatArray]], shares: Sequence[float]) -> list[FloatArray]:
-    """Interpolate each segment's arrays between the first and the last set by its share."""
-    first, last = ends[0], ends[-1]
-    return [a + share * (b - a) for a, b, share in zip(first, last, shares, strict=True)]
 
 
 def gust_refit(
@@ -335,6 +363,7 @@ def gust_refit(
     """
     data = with_jumping_flights(data, models.model)
     tune = tune and not data.delayed_sensors
+    control_paths = ControlPaths(models.model, data)
     at = _Iterate(data, start, turbulence)
     if turbulence is None:
         starts = _starts(data, start, initial)
@@ -360,6 +389,7 @@ def gust_refit(
             # it anew.
             keeps_colour=number > 1 or fixed_air,
             fixed_colour=fixed_air,
+            control_paths=control_paths,
         )
         if not np.isfinite(step).all():
             raise np.linalg.LinAlgError("predictions with this model are no numbers")
@@ -439,6 +469,7 @@ def _evaluate(
     free_air: bool,
     keeps_colour: bool,
     fixed_colour: bool,
+    control_paths: ControlPaths,
 ) -> tuple[TurbulentFit, FloatArray]:
     """Return the flights' innovations and sensitivities at an iterate, and the step (K,) from it.
 
@@ -446,7 +477,9 @@ def _evaluate(
     colour of the innovations that the air has.
     """
     # 1. Linear systems along the path.
-    trajectory, reference_probes = at.predicted or predict(models, at.data, at.point, pool, at.path)
+    trajectory, reference_probes = at.predicted or predict(
+        models, at.data, at.point, pool, at.path, control_paths=control_paths
+    )
     systems = _LinearSystems(at.data, trajectory, reference_probes, pool)
     # 2. Air and sensor noise.
     turbulence, data = at.turbulence, at.data

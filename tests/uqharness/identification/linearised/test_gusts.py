@@ -458,17 +458,14 @@ def test_surfaces_stand_where_commands_that_act_late_have_them(late_s):
     flight = prepare("f", flown((("pitch-doublet", 22.0),), seed=1, seconds=8.0), ())
     data = make_flight_data(aircraft, [flight], ())
     with ReplayFolder(aircraft) as model:
-        pair, shares = refine_gusts.data_about_delay(
-            model, data, ModelState({}, {"lateness/f/controls": late_s}, ())
-        )
-        result = refine_gusts._between([positions(model, acts) for acts in pair], shares)
+        paths = refine_gusts.ControlPaths(model, data)
+        result, _ = paths.at(ModelState({}, {"lateness/f/controls": late_s}, ()))
         expected = positions(
             model, make_flight_data(aircraft, [flight.with_delayed_commands(late_s)], ())
         )
         rows = positions(model, data)
-        single, empty = refine_gusts.data_about_delay(model, data, ModelState({}, {}, ()))
-    assert [acts is data for acts in single] == [True]
-    assert not any(empty)
+        in_time, _ = paths.at(ModelState({}, {}, ()))
+    np.testing.assert_array_equal(in_time, rows)
     for one, other, at_rows in zip(result, expected, rows, strict=True):
         rough = at_rows - late_s * np.gradient(at_rows, DT, axis=0)
         assert np.abs(one - other)[3:].max() < 0.03
@@ -483,14 +480,11 @@ def test_where_surfaces_stand_goes_with_how_late_commands_act_without_a_step():
     flight = prepare("f", flown((("pitch-doublet", 22.0),), seed=1, seconds=8.0), ())
     data, step = make_flight_data(aircraft, [flight], ()), refine_gusts.DELAY_GRID * DT
     with ReplayFolder(aircraft) as model:
+        paths = refine_gusts.ControlPaths(model, data)
 
         def at(places):
-            pair, shares = refine_gusts.data_about_delay(
-                model, data, ModelState({}, {"lateness/f/controls": places * step}, ())
-            )
-            return np.concatenate(
-                refine_gusts._between([positions(model, acts) for acts in pair], shares)
-            )
+            point = ModelState({}, {"lateness/f/controls": places * step}, ())
+            return np.concatenate(paths.at(point)[0])
 
         way = np.abs(at(1.0) - at(0.0)).max()
         for places in (0.0, 0.5, 1.0, -1.0):
