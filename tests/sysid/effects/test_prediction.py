@@ -318,5 +318,5 @@ def test_groups_of_segments_say_the_same_as_their_segments_and_are_not_split():
             np.testing.assert_allclose(one, other, rtol=1e-6, atol=1e-6)
     some = CONFIRMING.copy()
     some[np.flatnonzero(some)[0]] = False
-    with pytest.raises(ValueError, match="one group"):
+    with pytest.raises(ValueError, match="of a group"):
         groups.of_segments(some)
