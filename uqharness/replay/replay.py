@@ -48,14 +48,18 @@ _STEP_S = 1e-3
 
 
 def initial_actuator_positions(
-    model: ReplayModel, segment: Segment, properties: Mapping[str, float], limits: FloatArray
+    model: ReplayModel,
+    segment: Segment,
+    properties: Mapping[str, float],
+    limits: FloatArray,
+    early_s: float = 0.0,
 ) -> FloatArray:
     """Return the positions (c,) of lagging actuators at the first row, and of jumping controls just
     before it.
 
     In the record's units; NaN of other controls, and where no earlier command is known.
     ``properties`` are values in force, of which the actuators' own matter; ``limits`` (c, 2) bound
-    the commands.
+    the commands. Actuators with a lag have followed the first command for ``early_s``.
     """
     out = np.full(len(model.controls), np.nan)
     before = segment.at_commands().before
@@ -65,18 +69,31 @@ def initial_actuator_positions(
     for control in model.jumping:
         k = model.controls.index(control)
         out[k] = np.clip(before[-1, k], *limits[k])
+    for control, servo in _servos(model, properties).items():
+        k = model.controls.index(control)
+        if np.isfinite(before[:, k]).all():
+            out[k] = _servo_position(servo, np.clip(before[:, k], *limits[k]), segment.command_s)
+            if early_s > 0.0 and servo.lag is not None:
+                motion = segment.at_commands().controls[0, k] - out[k]
+                farthest = servo.rate * early_s
+                out[k] += np.clip(-motion * np.expm1(-early_s * servo.lag), -farthest, farthest)
+    return out
+
+
+def _servos(model: ReplayModel, properties: Mapping[str, float]) -> dict[str, Actuator]:
+    """Return the lagging actuators in the record's units, with the numbers in force.
+
+    One with an unknown lag is left out.
+    """
     # Servo parameters may be estimated, so given values replace those of the XML.
     values = {**_xml_servo_values(model), **properties}
+    servos = {}
     for control, numbers in model.lags.items():
-        k = model.controls.index(control)
         lag, rate = (_number(text, values) for text in numbers)
-        # Unknown commands or an unknown lag leave the position undetermined.
-        unknown = bool(numbers[0]) and math.isnan(lag)
-        if control in model.lagging and np.isfinite(before[:, k]).all() and not unknown:
+        if control in model.lagging and not (numbers[0] and math.isnan(lag)):
             fastest = math.inf if math.isnan(rate) else abs(rate * model.position_unit(control))
-            servo = Actuator(lag if lag * SHORTEST_S < 1.0 else None, fastest)
-            out[k] = _servo_position(servo, np.clip(before[:, k], *limits[k]), segment.command_s)
-    return out
+            servos[control] = Actuator(lag if lag * SHORTEST_S < 1.0 else None, fastest)
+    return servos
 
 
 @cached(
@@ -242,9 +259,11 @@ def run_controls(
         for c, factor in zip(model.controls, model.factor, strict=True)
     ]
     runs, ends = shape.runs // segment.per_row, np.sort(limits)
-    initial = initial_actuator_positions(model, segment, properties, ends)
-    return model.to_property(
-        by_run(
+    initial = initial_actuator_positions(model, segment, properties, ends, -late_s)
+
+    def controls(late: float) -> FloatArray:
+        """Return the controls in the record's units, delayed by ``late`` runs."""
+        return by_run(
             segment.at_commands(),
             runs,
             measured,
@@ -254,7 +273,18 @@ def run_controls(
             limits=ends,
             initial=initial,
         )
-    )
+
+    out = controls(late)
+    if late:
+        # A servo without a lag slews at its limit however small a share of a step it is given, so
+        # its motion is delayed, and commands it.
+        for control, servo in _servos(model, properties).items():
+            k = model.controls.index(control)
+            if servo.lag is None and math.isfinite(servo.rate):
+                on_time = controls(0.0)[:, [k]]
+                motion = servo.follow(on_time[:, 0], shape.dt_s, shape.dt_s)
+                out[:, k] = _delayed(motion[:, None], late)[:, 0]
+    return model.to_property(out)
 
 
 def runs_per_row(dt_s: float, longest_s: float | None = None) -> int:
@@ -447,8 +477,9 @@ def by_run(
     is_command, lags = ~np.asarray(measured), np.asarray(lagging)
     on_time = _undelayed_controls(segment, runs, is_command, lags, limits, initial)
     out = on_time.copy() if late == 0.0 else _delayed(on_time, late)
-    # The first run holds the actuators' initial positions, which no early command moves.
-    out[0, lags] = on_time[0, lags]
+    if late < 0.0:
+        # The initial positions contain what an early first command has moved.
+        out[:3, lags] = on_time[:3, lags]
     if late > 0.0 and initial is not None:
         # A late command leaves surfaces at their earlier position for a while. The first run
         # belongs to the start itself, so it stays.
