@@ -134,6 +134,11 @@ class Selection:
         """Values of the effects by key."""
         return {c.key: c.value for c in self.chosen}
 
+    @property
+    def gain(self) -> float:
+        """Sum of the effects' gains, each beside the others."""
+        return sum(c.gain for c in self.chosen)
+
     def with_each(self, change: Callable[[SelectedEffect], SelectedEffect]) -> Selection:
         """Return the selection with each effect changed."""
         return replace(self, chosen=tuple(map(change, self.chosen)))

@@ -63,7 +63,6 @@ from uqharness.refinement.candidates import (
     SHORTEST_ROWS,
     candidate_effects,
     eligible,
-    with_servo_limits,
 )
 from uqharness.refinement.estimators import (
     Estimator,
@@ -72,6 +71,7 @@ from uqharness.refinement.estimators import (
     estimator_for,
     replay_residuals,
 )
+from uqharness.refinement.servos import likeliest_servos, with_servo_limits
 from uqharness.refinement.stages import Stages
 from uqharness.replay import Flight, batched_pool
 from uqharness.simulator import Aircraft
@@ -302,15 +302,22 @@ def fit_baseline(
     columns = effect_columns(data, fit.probes, fit.trajectory, scored)
     information = estimator.information(data, fit, columns, effects)
     free = fit.columns[0].names
+    critical_t = estimator.critical_t(information, free, eligible(effects, data, free, information))
+    required_gains = {e.key: estimator.required_gain(e) + critical_t**2 for e in effects}
+    servos = [
+        e.key for e in effects if e.term in ("lag", "rate_limit") and e.key in information.names
+    ]
+    is_slow = bool(servos) and joint_gain(information, free, servos) > critical_t**2
     context = SearchContext(
         data,
         fit,
         chosen.names,
         {e.key: e for e in effects},
         parameter_limits(aircraft),
-        estimator.critical_t(information, free, eligible(effects, data, free, information)),
+        critical_t,
         chosen.model.neg2_log_likelihood,
         estimator,
+        likeliest_servos(data, fit, estimator, required_gains) if is_slow else None,
     )
     return Baseline(context, information, competes, chosen.notes)
 

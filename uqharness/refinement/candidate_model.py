@@ -40,7 +40,7 @@ from uqharness.identification.linearised import (
     with_sensors_of,
 )
 from uqharness.plugin import Estimate
-from uqharness.refinement.candidates import clip_to_active_range, eligible, least_active_value
+from uqharness.refinement.candidates import eligible
 from uqharness.refinement.estimators import (
     Estimator,
     Limits,
@@ -49,6 +49,11 @@ from uqharness.refinement.estimators import (
     estimator_for,
     fit_output_error,
     moves_sensors,
+)
+from uqharness.refinement.servos import (
+    LikeliestServos,
+    clip_to_active_range,
+    least_active_value,
 )
 from uqharness.refinement.write_xml import EffectToWrite, carrier, control_slopes, write_effects
 from uqharness.simulator import Aircraft, find_aircraft
@@ -78,6 +83,8 @@ class SearchContext:
     baseline_cost : float
         Minus twice the log likelihood of the baseline.
     estimator : Estimator
+    servos : LikeliestServos, optional
+        Servos that together explain more than those of the model without effects.
     """
 
     data: FlightData
@@ -88,6 +95,7 @@ class SearchContext:
     critical_t: float
     baseline_cost: float
     estimator: Estimator
+    servos: LikeliestServos | None = None
 
     @property
     def free(self) -> tuple[str, ...]:
@@ -126,6 +134,17 @@ class SearchContext:
             empirical=self.estimator.uses_empirical_dispersion(self.data),
             decisive_t=tuned.OVERWHELMING_T,
         )
+
+    def servo_proposal(self, information: Information, rival: Selection) -> Selection | None:
+        """Return the likeliest servos as a proposal, beside the baseline's ``information``.
+
+        None if it is the ``rival``, or unless it explains nearly as much.
+        """
+        if self.servos is None or self.servos.gain < tuned.COMPARABLE_SHARE * rival.gain:
+            return None
+        effects = estimate_selected(information, self.free, [*self.servos.effects], ())
+        proposal = with_values(Selection(effects), self.servos.effects)
+        return None if proposal.values.keys() == rival.values.keys() else proposal
 
     def model_without_effects(self, information: Information) -> CandidateModel:
         """Return the baseline as the first candidate model; its selection proposes effects."""
@@ -286,12 +305,18 @@ class AircraftFitter:
         names = [*context.parameters, *values]
         staged, data = write_candidate(context, self.aircraft, values, self.folder / label)
         try:
-            starts = (
-                replace(joint_point(context, reference, list(values)), effects=values),
-                replace(context.baseline_fit.trajectory.point, effects=values),
-            )
+            baseline = context.baseline_fit.trajectory.point
             with stage_models(staged, data) as models:
-                fit = context.estimator.fit(models, data, starts, names, context.limits, self.pool)
+                # What the baseline's estimates owe to missing effects may be far from linear.
+                current = models.model.current_values(self.aircraft.dt_s, [*baseline.values])
+                as_written = dict(zip(baseline.values, current.tolist(), strict=True))
+                starts = (
+                    joint_point(context, reference, list(values)),
+                    baseline,
+                    replace(baseline, values=as_written, nuisance={}),
+                )
+                points = [replace(point, effects=values) for point in starts]
+                fit = context.estimator.fit(models, data, points, names, context.limits, self.pool)
             return assess(context, fit, values)
         except np.linalg.LinAlgError:
             return None

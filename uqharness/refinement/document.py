@@ -17,7 +17,6 @@ from sysid.display import rows_table, view
 from sysid.effects import Alternative, Effect, RejectedCandidate, SelectedEffect, tuned
 from sysid.estimation import NOISE_FLOOR
 from uqharness.identification.linearised import FlightData
-from uqharness.refinement.candidates import is_fastest
 from uqharness.refinement.evaluation import Evaluation, excess_residuals, residual_tables
 from uqharness.refinement.hold_out import HoldOutResult, Verdict
 from uqharness.refinement.residual_location import (
@@ -37,6 +36,7 @@ from uqharness.refinement.sentences import (
     too_weak_to_name,
     withdrawal_reason,
 )
+from uqharness.refinement.servos import is_fastest
 from uqharness.refinement.write_xml import switch_of
 from uqharness.results.refinement import Alternative as AlternativeDocument
 from uqharness.results.refinement import (

@@ -195,6 +195,9 @@ class EffectSearch:
                     break
                 doubts.add(doubted.key)
                 proposal = with_refused(context, reference, doubted.key)
+            selected = proposal
+            if reference is baseline and doubted is None:
+                proposal = context.servo_proposal(information, selected) or selected
             # Fit. The model is None if neither replays nor a filter follow the flights with it.
             self.callback(f"round {number}: fitting {listed(proposal.values)}")
             name = f"{label}{number}"
@@ -202,7 +205,14 @@ class EffectSearch:
             if model is not None:
                 trail += [f"round {number}: {line}" for line in model.reselection.trail]
             # Compare with competing proposals, if the newest effect is doubtful.
+            if model is not None:
+                simpler = simpler_servos(context, model)
+                model = self._best_competitor(model, simpler, model, f"{name}-one")
             competitors = competing_proposals(context, model, proposal, reference)
+            if selected is not proposal and (
+                model is None or selected.gain > reference.criterion - model.criterion
+            ):
+                competitors = [selected, *competitors]
             competitors = competitors[:competitors_left]
             competitors_left -= len(competitors)
             model = self._best_competitor(model, competitors, reference, name)
@@ -360,6 +370,21 @@ def competing_proposals(
         )
         for key in keys
     ]
+
+
+def simpler_servos(context: SearchContext, model: CandidateModel) -> list[Selection]:
+    """Return a model's effects without the rate limit, and without the lag, of servos that have
+    both, which resemble each other.
+    """
+    servos = [key.rpartition("/")[0] for key in model.keys]
+    free = [n for n in model.free if n not in model.keys]
+    proposals = []
+    for term in ("rate_limit", "lag"):
+        second = {f"{servo}/{term}" for servo in servos if servos.count(servo) > 1}
+        keys = [k for k in model.selection.values if k not in second]
+        if len(keys) < len(model.keys):
+            proposals.append(Selection(estimate_selected(model.information, free, keys, ())))
+    return proposals
 
 
 def comparable_candidates(

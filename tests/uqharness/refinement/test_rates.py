@@ -18,7 +18,7 @@ from uqharness.identification.linearised import (
     servo_change,
 )
 from uqharness.refinement.candidate_model import with_local_rate_limits
-from uqharness.refinement.candidates import (
+from uqharness.refinement.servos import (
     SLOWER_SHARES,
     WIDTHS_DEG,
     _trial_rates,

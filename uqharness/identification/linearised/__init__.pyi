@@ -5,6 +5,7 @@ from .flight_data import StagedModels as StagedModels
 from .flight_data import Trajectory as Trajectory
 from .flight_data import acts_on_motion as acts_on_motion
 from .flight_data import control_delay_name as control_delay_name
+from .flight_data import control_delay_s as control_delay_s
 from .flight_data import estimated_channels as estimated_channels
 from .flight_data import is_turbulent as is_turbulent
 from .flight_data import jump_share_name as jump_share_name

@@ -347,7 +347,7 @@ PRIOR = {"bias": 0.1, "delay": 0.1, "lateness": 0.005, UNSEEN: 1.0}
 
 Controls act at their rows, to half a step: 5 ms in a simulation of 10 ms a step.
 """
-_MAX_ITERATIONS, _TOLERANCE = 12, 0.05
+_MAX_ITERATIONS, _TOLERANCE = 30, 0.05
 _STEP_SHARES = tuple(0.35**k for k in range(5))
 """Shares of a step, tried in turn until one lowers the cost."""
 
