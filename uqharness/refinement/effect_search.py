@@ -14,7 +14,8 @@ stop.
    remains.
 5. Compare (`best_model`) by the log likelihood less the gain required of each effect
    (`REQUIRED_GAIN_SHARE`).
-6. Stop at a model that selects itself, and drop effects whose |t| in the simulation is too small
+6. Stop at a model that selects itself and refuses no candidate of sufficient |t|, or refuses it in
+   the simulation, too (`with_refused`). Drop effects whose |t| in the simulation is too small
    (`drop_weak`).
 """
 
@@ -191,7 +192,8 @@ class EffectSearch:
             proposal, doubted = reference.reselection, None
             if reference.is_stationary or not proposal.chosen:
                 doubted = proposal.refused
-                if doubted is None or doubted.key in doubts or abs(doubted.t) <= context.critical_t:
+                is_strong = doubted is not None and abs(doubted.t) > context.critical_t
+                if doubted is None or doubted.key in doubts or not is_strong:
                     break
                 doubts.add(doubted.key)
                 proposal = with_refused(context, reference, doubted.key)
