@@ -72,7 +72,9 @@ class MeasuredSystem(NamedTuple):
         ``output_rows`` are the indices of the m channels in OUTPUTS.
         """
         # A missing measurement is 0 and flagged, so that arrays keep their shape.
-        rows = list(output_rows)
+        # All channels in order share the arrays of the steps.
+        in_order = list(output_rows) == list(range(steps.H.shape[1]))
+        rows = slice(None) if in_order else list(output_rows)
         is_measured = np.isfinite(measured)
         z = np.where(is_measured, measured - steps.y_ref[:, rows], 0.0)
         H, D, phi, half_columns, defect, g0, g1 = (
