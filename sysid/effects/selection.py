@@ -35,6 +35,8 @@ MAX_EFFECTS = 6
 MAX_RUNNERS_UP = 12
 MAX_ENTRY_ATTEMPTS = 3
 MAX_ALTERNATIVES = 3
+LEAST_FOR_SPREAD = 5
+"""Other candidates whose median |t| measures the spread: of five, two may be true effects."""
 
 
 @dataclass(frozen=True)
@@ -352,12 +354,16 @@ class _Stepwise:
         """Return the spread of candidates' t, at least 1; 1 where only noise is counted.
 
         With the candidate in question among the ``free`` columns: a true effect changes the t of
-        all that resemble it, in a few flights more than their median ignores.
+        all that resemble it, in a few flights more than their median ignores. Fewer than
+        `LEAST_FOR_SPREAD` other candidates have no spread.
         """
         if not self.empirical:
             return 1.0
-        t = score_tests(self.information, free, keys).t
-        return max(1.0, float(np.nanmedian(np.abs(t))) / normal_quantile(0.75))
+        t = np.abs(score_tests(self.information, free, keys).t) if keys else np.zeros(0)
+        t = t[np.isfinite(t)]
+        if len(t) < LEAST_FOR_SPREAD:
+            return 1.0
+        return max(1.0, float(np.median(t)) / normal_quantile(0.75))
 
 
 def estimate_selected(

@@ -182,7 +182,7 @@ class Estimator(ABC):
         return effect.penalty
 
     def uses_empirical_dispersion(self, data: FlightData) -> bool:
-        """Return whether the spread of all candidates' t, instead of white noise, measures chance.
+        """Return whether the spread of the other candidates' t, not white noise, measures chance.
 
         In calm air only an autopilot's estimates are coloured.
         """

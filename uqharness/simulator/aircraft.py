@@ -21,7 +21,7 @@ from xml.parsers import expat
 
 import tomlkit
 from lxml import etree
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator, model_validator
 from tomlkit.exceptions import TOMLKitError
 
 from sysid.errors import LogError
@@ -92,6 +92,18 @@ class InputCard(_Strict):
     positive: str = ""
     limits: tuple[float, float] = (-1.0, 1.0)
     throw_deg: float | None = None
+
+    @model_validator(mode="after")
+    def _unit_of_a_position(self) -> InputCard:
+        """Reject a unit of a position that nothing reads, or that its name contradicts."""
+        if self.position_unit is None:
+            return self
+        ending = (self.position or "").rpartition("-")[2]
+        if self.position is None or self.unit != "norm":
+            raise ValueError('position_unit needs position and unit = "norm": delete it')
+        if ending in ("deg", "rad", "norm") and ending != self.position_unit:
+            raise ValueError(f"position is in {ending} by its name: delete position_unit")
+        return self
 
     @field_validator("throw_deg")
     @classmethod

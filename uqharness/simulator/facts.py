@@ -153,7 +153,6 @@ _MIN_RATE_CHANGE = 1e-9  # rad/s, ft/s: a control that moves nothing leaves a fl
 _MIN_TRAVEL = 1e-6  # deg or rad
 _LIKE_THROW_SHARE = 0.25  # by which a mean of surfaces may travel more or less than one of them
 _FCS = re.compile(r"fcs/(?!.*(cmd|command))")
-_UNIT_ENDING = re.compile(r"-(deg|rad|norm)$")
 _TURNING_RADPS = 0.1
 _METRICS = ("metrics/Sw-sqft", "metrics/bw-ft", "metrics/cbarw-ft")
 _POSITIONS = {
@@ -646,24 +645,31 @@ def _control_facts(
 def _proportional_position(
     rows: Sequence[_HeldState], throw_deg: float
 ) -> tuple[str | None, str | None]:
-    """Return a property and its unit that aerodynamic functions read, which follows the command in
-    proportion and by about the throw of a surface; (None, None) if there is none.
+    """Return the property that follows a command in proportion, and its unit if its name has none.
+
+    Of those that aerodynamic functions read, it is the one whose travel is nearest to the throw of
+    a surface; (None, None) if there is none.
     """
-    common = set.intersection(*({*row.positions} for row in rows))
-    for name in (n for n in rows[0].positions if n in common and not _UNIT_ENDING.search(n)):
+    standard = {name for group in _POSITIONS.values() for name in group}
+    nearest: tuple[str | None, str | None] = None, None
+    smallest = _LIKE_THROW_SHARE * throw_deg
+    for name in set.intersection(*({*row.positions} for row in rows)) - standard:
         values = [row.positions[name] for row in rows]
         travel = 0.5 * (values[-2] - values[0])
         if not (all(map(math.isfinite, values)) and travel > _MIN_TRAVEL):
             continue
         middle = 0.5 * (values[0] + values[-2])
         straight = (middle - 0.5 * travel, middle, middle + 0.5 * travel)
-        bends = max(abs(v - w) for v, w in zip(values[1:4], straight, strict=True))
-        if bends > _LINEAR_SHARE * travel:
+        largest = max(abs(v - w) for v, w in zip(values[1:4], straight, strict=True))
+        if largest > _LINEAR_SHARE * travel:
             continue
+        ending = name.rpartition("-")[2]
         for unit, degrees in (("deg", 1.0), ("rad", RAD_DEG)):
-            if abs(degrees * travel - throw_deg) <= _LIKE_THROW_SHARE * throw_deg:
-                return name, unit
-    return None, None
+            difference = abs(degrees * travel - throw_deg)
+            has_other_unit = ending in {"deg", "rad", "norm"} - {unit}
+            if difference < smallest and not has_other_unit:
+                nearest, smallest = (name, None if ending == unit else unit), difference
+    return nearest
 
 
 def _depends_on_motion(

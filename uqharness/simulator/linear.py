@@ -119,7 +119,7 @@ def step_notes(all_modes: Sequence[Mode], dt_s: float) -> list[str]:
     --------
     >>> for note in step_notes([Mode("roll", -50.0, 0.0, 50.0, 1.0)], 0.01):
     ...     print(note)
-    roll decays in 20 ms, but in 14 ms in steps of 10 ms: set dt_s in airframe.toml to 0.004
+    roll decays in 20 ms, but in 14 ms in steps of 10 ms: set dt_s in airframe.toml to 0.002
     """
     notes = []
     for real in (m.real for m in all_modes if m.name == "roll" and m.imag == 0.0):
@@ -134,9 +134,15 @@ def step_notes(all_modes: Sequence[Mode], dt_s: float) -> list[str]:
             simulated = f"in {-1e3 * dt_s / math.log(factor):.2g} ms"
         notes.append(
             f"roll decays in {-1e3 / real:.2g} ms, but {simulated} in steps of {1e3 * dt_s:.3g} ms:"
-            f" set dt_s in airframe.toml to {-MAX_DECAY_PER_STEP / real:.1g}"
+            f" set dt_s in airframe.toml to {_rounded_down(-MAX_DECAY_PER_STEP / real):g}"
         )
     return notes
+
+
+def _rounded_down(step_s: float) -> float:
+    """Return the largest 1, 2 or 5 times a power of ten that is not above a step."""
+    power = 10.0 ** math.floor(math.log10(step_s))
+    return max(k * power for k in (1.0, 2.0, 5.0) if k * power <= step_s * (1.0 + 1e-9))
 
 
 def linearise(aircraft: Aircraft, trim: Trim) -> LinearModel:

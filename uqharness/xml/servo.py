@@ -101,10 +101,11 @@ def servo_property(aircraft: Aircraft, surface: str) -> tuple[str, float]:
     unit of its output.
     """
     card = aircraft.card.inputs[surface]
-    name = card.position
-    if name is None or surface not in all_actuators(aircraft):
-        name = f"fcs/{surface}-servo-{card.unit}"
-    return name, abs(position_factor(card.model_copy(update={"position": name})))
+    if card.position is not None and surface in all_actuators(aircraft):
+        return card.position, abs(position_factor(card))
+    name = f"fcs/{surface}-servo-{card.unit}"
+    added = card.model_copy(update={"position": name, "position_unit": None})
+    return name, abs(position_factor(added))
 
 
 def write_actuator(folder: Path, aircraft: Aircraft, surface: str) -> None:

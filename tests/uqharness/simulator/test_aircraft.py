@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 import re
 import shutil
 import tomllib
 
 import numpy as np
 import pytest
+from pydantic import ValidationError
 
 from sysid.record import FlightRecord
 from tests.helpers import sixdof
@@ -22,6 +24,7 @@ from uqharness.simulator.aircraft import (
     InputCard,
     find_aircraft,
     open_aircraft,
+    position_factor,
     read_card,
     sensors_from_cg,
     sources,
@@ -329,3 +332,16 @@ def test_a_broken_model_is_one_clear_error(copy, kind):
     xml.write_text(text)
     with pytest.raises(BadInputError, match=message):
         force_state(find_aircraft(copy), STATE, CONTROLS, 100.0)
+
+
+def test_a_position_unit_that_nothing_reads_or_the_name_contradicts_is_refused():
+    position = {"property": "fcs/aileron-cmd-norm", "position": "fcs/mean-aileron-pos"}
+    card = InputCard(**position, position_unit="rad", throw_deg=-20.0)
+    assert position_factor(card) == pytest.approx(-180.0 / math.pi)
+    for entry, reason in (
+        ({**position, "position": "fcs/aileron-pos-rad"}, "in rad by its name"),
+        ({"property": "fcs/aileron-cmd-norm"}, "needs position"),
+        ({**position, "unit": "deg"}, 'unit = "norm"'),
+    ):
+        with pytest.raises(ValidationError, match=reason):
+            InputCard(**entry, position_unit="deg")

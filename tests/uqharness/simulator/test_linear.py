@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -142,3 +143,7 @@ def test_a_roll_too_fast_for_jsbsims_step_decays_in_jsbsim_as_the_note_says():
     (note,) = step_notes([fastest], 0.01)
     assert "decays in 12 ms, but in 5.3 ms in steps of 10 ms" in note
     assert note.endswith("to 0.002")
+    slow = replace(fastest, real=-20.5)
+    (note,) = step_notes([slow], 0.01)
+    assert note.endswith("to 0.005")
+    assert step_notes([slow], 0.005) == []

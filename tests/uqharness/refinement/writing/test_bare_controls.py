@@ -22,6 +22,7 @@ from uqharness.replay.segments import Segment
 from uqharness.simulator import engine
 from uqharness.simulator.actuators import Actuator
 from uqharness.simulator.aircraft import find_aircraft, open_aircraft
+from uqharness.xml.servo import servo_property
 
 EFFECTS = {
     e.key.removeprefix("effect/actuator."): e
@@ -191,3 +192,14 @@ def test_a_slow_servo_is_named_from_commands_alone(glider, tmp_path):
     (effect,) = json.loads((out / "refinement.json").read_text())["effects"]
     assert (effect["subsystem"], effect["term"]) == ("actuator.elevator", "lag")
     assert abs(effect["value"] - 10.0) < 3.0 * effect["std"]
+
+
+def test_a_rate_limit_counts_in_the_unit_of_the_actuator_that_is_added(glider):
+    """The former position's unit is not that of the new actuator, which is normalised."""
+    inputs = dict(glider.card.inputs)
+    unit = {"position": "fcs/effective-aileron-pos", "position_unit": "rad"}
+    inputs["aileron"] = inputs["aileron"].model_copy(update=unit)
+    aircraft = replace(glider, card=glider.card.model_copy(update={"inputs": inputs}))
+    name, unit_deg = servo_property(aircraft, "aileron")
+    assert name == "fcs/aileron-servo-norm"
+    assert unit_deg == pytest.approx(abs(inputs["aileron"].throw_deg))
