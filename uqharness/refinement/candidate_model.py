@@ -138,7 +138,7 @@ class SearchContext:
     def servo_proposal(self, information: Information, rival: Selection) -> Selection | None:
         """Return the likeliest servos as a proposal, beside the baseline's ``information``.
 
-        None if it is the ``rival``, or unless it explains nearly as much.
+        None if it is the ``rival``, or explains less than `COMPARABLE_SHARE` of its gain.
         """
         if self.servos is None or self.servos.gain < tuned.COMPARABLE_SHARE * rival.gain:
             return None

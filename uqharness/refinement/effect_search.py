@@ -190,7 +190,10 @@ class EffectSearch:
             # Propose. Stop at a model that proposes itself, unless its linearisation may be the
             # reason for refusing a candidate.
             proposal, doubted = reference.reselection, None
-            if reference.is_stationary or not proposal.chosen:
+            servos = None
+            if reference is baseline and number == 2:
+                servos = context.servo_proposal(information, proposal)
+            if servos is None and (reference.is_stationary or not proposal.chosen):
                 doubted = proposal.refused
                 is_strong = doubted is not None and abs(doubted.t) > context.critical_t
                 if doubted is None or doubted.key in doubts or not is_strong:
@@ -198,8 +201,8 @@ class EffectSearch:
                 doubts.add(doubted.key)
                 proposal = with_refused(context, reference, doubted.key)
             selected = proposal
-            if reference is baseline and doubted is None:
-                proposal = context.servo_proposal(information, selected) or selected
+            if servos is not None:
+                proposal = servos
             # Fit. The model is None if neither replays nor a filter follow the flights with it.
             self.callback(f"round {number}: fitting {listed(proposal.values)}")
             name = f"{label}{number}"
@@ -211,8 +214,10 @@ class EffectSearch:
                 simpler = simpler_servos(context, model)
                 model = self._best_competitor(model, simpler, model, f"{name}-one")
             competitors = competing_proposals(context, model, proposal, reference)
-            if selected is not proposal and (
-                model is None or selected.gain > reference.criterion - model.criterion
+            if (
+                selected.chosen
+                and selected is not proposal
+                and (model is None or selected.gain > reference.criterion - model.criterion)
             ):
                 competitors = [selected, *competitors]
             competitors = competitors[:competitors_left]
@@ -235,7 +240,7 @@ class EffectSearch:
             models = [*(m for m in models if m is best_model([*models, m])), model]
             reference = model
             # Stop before a cycle.
-            visited.add(model.keys)
+            visited |= {model.keys, frozenset(proposal.values)}
             following = frozenset(model.reselection.values)
             if following in visited and following != model.keys:
                 trail.append(f"round {number}: the same effects again; the best model stays")

@@ -8,7 +8,7 @@ is far from small, so no single slope is right: several values are tried.
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -17,6 +17,7 @@ from sysid.arrays import FloatArray
 from sysid.effects import (
     Columns,
     Information,
+    LazyColumns,
     SelectedEffect,
     Selection,
     project_out,
@@ -80,7 +81,7 @@ def with_servo_limits(data: FlightData, fit: Linearisation, estimator: Estimator
             },
         }
 
-    information = _information_of(data, fit, estimator, changes)
+    information = _information_of(data, fit, estimator, [*data.servos], changes)
     free = fit.columns[0].names
     widths, limits, zones = np.array(WIDTHS_DEG), {}, {}
     lags = dict[str, float]()
@@ -111,18 +112,24 @@ def _information_of(
     data: FlightData,
     fit: Linearisation,
     estimator: Estimator,
+    controls: Sequence[str],
     changes: Callable[[str, Segment, Probe], Mapping[str, FloatArray]],
 ) -> Information:
-    """Return the normal equations of changes (n,) of surfaces' positions [deg], by name."""
-    columns = []
-    for segment, p in zip(data.segments, fit.probes, strict=True):
+    """Return the normal equations of changes (n,) of ``controls`` [deg, %], by name."""
+
+    def columns_of(k: int, names: Collection[str] | None = None) -> Columns:
+        """Return the columns of a segment that are among ``names``."""
+        p = fit.probes[k]
         inputs = {
-            name: (-1, p.by_control[:, :, CONTROLS.index(surface)] * change[:, None])
-            for surface in data.servos
-            for name, change in changes(surface, segment, p).items()
+            name: (-1, p.by_control[:, :, CONTROLS.index(control)] * change[:, None])
+            for control in controls
+            for name, change in changes(control, data.segments[k], p).items()
+            if names is None or name in names
         }
-        columns.append(Columns(tuple(inputs), inputs, {}))
-    return estimator.information(data, fit, columns)
+        return Columns(tuple(inputs), inputs, {})
+
+    names = columns_of(0).names
+    return estimator.information(data, fit, LazyColumns(names, columns_of, len(data.segments)))
 
 
 @dataclass(frozen=True)
@@ -134,7 +141,8 @@ class LikeliestServos:
     effects : mapping
         Lags and rate limits by effect key.
     gain : float
-        Increase of 2 ln L over the fit, in which the delay of the controls stands for them.
+        Increase of 2 ln L, less the gains required of the effects, over the fit, in which the delay
+        of the controls stands for them.
     """
 
     effects: Mapping[str, float]
@@ -174,34 +182,43 @@ def likeliest_servos(
     trials = {surface: _trial_servos(data, surface) for surface in data.servos}
     point = fit.trajectory.point
 
-    def changes(surface: str, segment: Segment, p: Probe) -> dict[str, FloatArray]:
-        """Return what each trial servo changes in the surface's position."""
-        k, commands = CONTROLS.index(surface), segment.at_commands()
-        h = commands.dt_s
+    def changes(control: str, segment: Segment, p: Probe) -> dict[str, FloatArray]:
+        """Return what each trial servo changes in a surface's position, and what the delay has
+        changed in another control.
+        """
+        k, commands = CONTROLS.index(control), segment.at_commands()
+        h, values = commands.dt_s, commands.controls[:, k]
 
         def positions(servo: Actuator) -> FloatArray:
             """Return the surface's positions with a servo."""
-            return servo.follow(commands.controls[:, k], h, h / runs_per_row(h))
+            return servo.follow(values, h, h / runs_per_row(h))
 
         late_s = control_delay_s(point, segment.flight)
-        before = delayed_command(positions(data.servos[surface]), commands.time_s, late_s)
-        return {t.name: segment.on_rows(positions(t.servo) - before) for t in trials[surface]}
+        if control not in trials:
+            moved = segment.on_rows(values - delayed_command(values, commands.time_s, late_s))
+            return {control: moved} if late_s else {}
+        before = delayed_command(positions(data.servos[control]), commands.time_s, late_s)
+        return {t.name: segment.on_rows(positions(t.servo) - before) for t in trials[control]}
 
-    information = _information_of(data, fit, estimator, changes)
+    information = _information_of(data, fit, estimator, CONTROLS, changes)
     delays = [control_delay_name(f) for f in data.timed]
     free = information.index(n for n in fit.columns[0].names if n not in delays)
     every = [trial for rows in trials.values() for trial in rows]
-    g, u = project_out(*information.total, free, information.index(t.name for t in every))
+    in_time = [c for c in CONTROLS if c in information.names]
+    columns = information.index([*(t.name for t in every), *in_time])
+    g, u = project_out(*information.total, free, columns)
     required = np.array([sum(required_gains[k] for k in t.effects) for t in every])
-    # All combinations of one servo per surface.
-    gain = 2.0 * u - np.diagonal(g) - required
+    # All combinations of one servo per surface, with the other controls in time.
+    n = len(every)
+    in_time_gain = float(2.0 * u[n:].sum() - g[n:, n:].sum())
+    gain = 2.0 * u[:n] - np.diagonal(g)[:n] - 2.0 * g[:n, n:].sum(axis=1) - required
     best: tuple[int, ...] = ()
     best_gain = 0.0
     *outer, last = ([k for k, t in enumerate(every) if t.surface == s] for s in trials)
     for some in itertools.product(*outer):
         beside = gain[last] - 2.0 * g[np.ix_(last, some)].sum(axis=1)
         pairs = itertools.combinations(some, 2)
-        total = gain[[*some]].sum() - 2.0 * sum(g[pair] for pair in pairs) + beside
+        total = in_time_gain + gain[[*some]].sum() - 2.0 * sum(g[pair] for pair in pairs) + beside
         if total.max() > best_gain:
             best, best_gain = (*some, last[int(np.argmax(total))]), float(total.max())
     effects = {key: x for k in best for key, x in every[k].effects.items()}

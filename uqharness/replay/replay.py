@@ -18,7 +18,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -74,7 +74,8 @@ def initial_actuator_positions(
         if np.isfinite(before[:, k]).all():
             out[k] = _servo_position(servo, np.clip(before[:, k], *limits[k]), segment.command_s)
             if early_s > 0.0 and servo.lag is not None:
-                motion = segment.at_commands().controls[0, k] - out[k]
+                first = np.clip(segment.at_commands().controls[0, k], *limits[k])
+                motion = first - out[k]
                 farthest = servo.rate * early_s
                 out[k] += np.clip(-motion * np.expm1(-early_s * servo.lag), -farthest, farthest)
     return out
@@ -252,19 +253,24 @@ def run_controls(
         [name in kind for name in model.controls] for kind in (model.measured, model.lagging)
     )
     jump_share = 1.0 - unseen if shape.stride == shape.runs else None
+    runs, commanded = shape.runs // segment.per_row, segment.at_commands()
+    # Commands that are early by whole rows have acted before the first one.
+    rows = max(0, math.floor(-late_s / commanded.dt_s + 1e-9))
+    if rows:
+        commanded, late_s = _ahead(commanded, rows), late_s + rows * commanded.dt_s
     late = late_s / segment.dt_s * shape.runs
     # JSBSim clips commands; the overshoot of a step must stay inside the same limits.
     limits = [
         tuple(limit / factor for limit in model.card.inputs[c].limits)
         for c, factor in zip(model.controls, model.factor, strict=True)
     ]
-    runs, ends = shape.runs // segment.per_row, np.sort(limits)
-    initial = initial_actuator_positions(model, segment, properties, ends, -late_s)
+    ends = np.sort(limits)
+    initial = initial_actuator_positions(model, commanded, properties, ends, -late_s)
 
     def controls(late: float) -> FloatArray:
         """Return the controls in the record's units, delayed by ``late`` runs."""
         return by_run(
-            segment.at_commands(),
+            commanded,
             runs,
             measured,
             lagging,
@@ -285,6 +291,17 @@ def run_controls(
                 motion = servo.follow(on_time[:, 0], shape.dt_s, shape.dt_s)
                 out[:, k] = _delayed(motion[:, None], late)[:, 0]
     return model.to_property(out)
+
+
+def _ahead(segment: Segment, rows: int) -> Segment:
+    """Return the segment with controls that act some rows earlier; the last ones are held."""
+    controls, before = segment.controls, segment.before
+    cut = controls[:rows]
+    return replace(
+        segment,
+        controls=np.vstack([controls[rows:], np.repeat(controls[-1:], len(cut), axis=0)]),
+        before=cut if before is None else np.vstack([before, cut]),
+    )
 
 
 def runs_per_row(dt_s: float, longest_s: float | None = None) -> int:

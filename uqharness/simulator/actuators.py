@@ -19,6 +19,7 @@ import numpy as np
 from sysid.arrays import FloatArray
 from sysid.linalg import first_order
 from uqharness.errors import BadInputError
+from uqharness.simulator import engine
 from uqharness.simulator.aircraft import Aircraft, open_aircraft, parse_xml, position_factor
 from uqharness.simulator.staging import model_files
 
@@ -175,6 +176,7 @@ def all_actuators(aircraft: Aircraft) -> dict[str, Actuator]:
         try:
             return float(text)
         except ValueError:
+            engine.require(simulator(), [text])
             return float(simulator()[text])
 
     result: dict[str, Actuator] = {}

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -17,6 +19,7 @@ from uqharness.refinement.effect_search import (
     comparable_candidates,
     delays_among_times,
 )
+from uqharness.refinement.servos import LikeliestServos
 
 KEYS = ("free", "thrust", "speed", "twin", "other")
 
@@ -50,6 +53,17 @@ def test_nothing_is_named_where_nothing_is_missing():
     assert outcome.model.keys == set()
     assert truth.fitted == []
     assert outcome.model.criterion == truth.context()[0].baseline_cost
+
+
+def test_likely_servos_are_fitted_although_no_candidate_alone_is_selected():
+    truth = flights()
+    context, information = truth.context()
+    effects = {"effect/Cm/alpha^2": 4.0, "effect/Cm/de^2": 0.003}
+    context = replace(context, servos=LikeliestServos(effects, 500.0))
+    outcome = EffectSearch(context, truth, lambda _: None).run(information)
+    assert {*truth.fitted[0]} == {*effects}
+    # The simulated flights decide.
+    assert outcome.model.keys == set()
 
 
 def test_two_effects_are_named_with_their_values():

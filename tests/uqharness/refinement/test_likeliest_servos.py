@@ -9,7 +9,7 @@ import pytest
 
 from tests.helpers.whitened import information_of
 from uqharness.identification.linearised import control_delay_name
-from uqharness.refinement.servos import likeliest_servos
+from uqharness.refinement.servos import LikeliestServos, likeliest_servos
 from uqharness.replay import CONTROLS, Segment, delayed_command, runs_per_row
 from uqharness.simulator import Actuator
 
@@ -32,8 +32,13 @@ class Measured:
         )
 
 
-def explained(servos: dict[str, Actuator], late_s: float) -> dict[str, float]:
-    """The likeliest servos of doublets, fitted with a delay of all controls."""
+def likeliest(
+    servos: dict[str, Actuator], late_s: float, commanded: tuple[str, ...] = SURFACES
+) -> LikeliestServos | None:
+    """The likeliest servos of doublets, fitted with a delay of all controls.
+
+    Surfaces that are not ``commanded`` have no servo that could be estimated.
+    """
     rng = np.random.default_rng(5)
     controls = np.zeros((600, 4))
     for k in range(3):
@@ -49,7 +54,7 @@ def explained(servos: dict[str, Actuator], late_s: float) -> dict[str, float]:
         flown = servos[surface].follow(controls[:, k], DT, DT / runs_per_row(DT))
         residual[:, k] += flown - delayed_command(controls[:, k], time_s, late_s)
     data = SimpleNamespace(
-        segments=[segment], servos=dict.fromkeys(SURFACES, Actuator(None)), timed=("f",)
+        segments=[segment], servos=dict.fromkeys(commanded, Actuator(None)), timed=("f",)
     )
     point = SimpleNamespace(nuisance={control_delay_name("f"): late_s})
     fit = SimpleNamespace(
@@ -60,7 +65,12 @@ def explained(servos: dict[str, Actuator], late_s: float) -> dict[str, float]:
     required = {
         f"effect/actuator.{s}/{term}": 16.0 for s in SURFACES for term in ("lag", "rate_limit")
     }
-    result = likeliest_servos(data, fit, Measured(residual), required)
+    return likeliest_servos(data, fit, Measured(residual), required)
+
+
+def explained(servos: dict[str, Actuator], late_s: float) -> dict[str, float]:
+    """The effects of the likeliest servos by surface and term."""
+    result = likeliest(servos, late_s)
     effects = {} if result is None else result.effects
     return {key.removeprefix("effect/actuator."): value for key, value in effects.items()}
 
@@ -83,3 +93,16 @@ def test_one_slow_servo_is_one_effect():
 
 def test_prompt_servos_stay():
     assert explained(dict.fromkeys(SURFACES, Actuator(None)), 0.0) == {}
+
+
+def test_without_the_delay_the_other_controls_are_in_time():
+    """A prompt rudder without a servo contradicts the delay as one with a servo does."""
+    prompt = Actuator(None)
+    servos = {"elevator": Actuator(12.5), "aileron": prompt, "rudder": prompt}
+    complete, partial = (
+        likeliest(servos, 0.05, commanded) for commanded in (SURFACES, ("elevator", "aileron"))
+    )
+    assert (
+        complete.effects == partial.effects == pytest.approx({"effect/actuator.elevator/lag": 0.08})
+    )
+    assert partial.gain == pytest.approx(complete.gain, rel=1e-6)

@@ -133,6 +133,26 @@ def test_early_commands_leave_servos_where_they_begin(aircraft):
     assert change < 2.0 * opposite + 1e-4
 
 
+def test_commands_early_by_rows_are_those_of_a_segment_that_begins_later(aircraft):
+    step, rows = prepared_step(), 6
+    controls = np.repeat(step.controls[:1], 60, axis=0)
+    controls[2:, 0] += 8.0
+    before = np.repeat(step.controls[:1], 40, axis=0)
+    early = replace(step, controls=controls, before=before)
+    later = replace(
+        step,
+        controls=np.vstack([controls[rows:], np.repeat(controls[-1:], rows, axis=0)]),
+        before=np.vstack([before, controls[:rows]]),
+    )
+    with ReplayFolder(aircraft) as model:
+        flown = fly_segment(model, early, {}, late_s=-rows * step.dt_s)
+        expected = fly_segment(model, later, {})
+        prompt = fly_segment(model, early, {})
+    q = CHANNELS.index("q_radps")
+    assert flown[:, q] == pytest.approx(expected[:, q], abs=1e-9)
+    assert np.abs(prompt[:, q] - expected[:, q]).max() > 0.1
+
+
 def test_an_accelerometer_away_from_the_cg_feels_the_rotation(aircraft, clean):
     flight = prepare("f", clean, SURFACES)
     arm = (0.3, 0.1, -0.2)
