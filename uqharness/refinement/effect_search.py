@@ -211,8 +211,8 @@ class EffectSearch:
                 trail += [f"round {number}: {line}" for line in model.reselection.trail]
             # Compare with competing proposals, if the newest effect is doubtful.
             if model is not None:
-                simpler = simpler_servos(context, model)
-                model = self._best_competitor(model, simpler, model, f"{name}-one")
+                simpler = simpler_servos(proposal)
+                model = self._best_competitor(model, simpler, reference, f"{name}-one")
             competitors = competing_proposals(context, model, proposal, reference)
             if (
                 selected.chosen
@@ -379,18 +379,17 @@ def competing_proposals(
     ]
 
 
-def simpler_servos(context: SearchContext, model: CandidateModel) -> list[Selection]:
-    """Return a model's effects without the rate limit, and without the lag, of servos that have
-    both, which resemble each other.
+def simpler_servos(proposal: Selection) -> list[Selection]:
+    """Return a proposal without the rate limit, and without the lag, of servos that have both,
+    which resemble each other.
     """
-    servos = [key.rpartition("/")[0] for key in model.keys]
-    free = [n for n in model.free if n not in model.keys]
+    servos = [c.key.rpartition("/")[0] for c in proposal.chosen]
     proposals = []
     for term in ("rate_limit", "lag"):
         second = {f"{servo}/{term}" for servo in servos if servos.count(servo) > 1}
-        keys = [k for k in model.selection.values if k not in second]
-        if len(keys) < len(model.keys):
-            proposals.append(Selection(estimate_selected(model.information, free, keys, ())))
+        chosen = tuple(c for c in proposal.chosen if c.key not in second)
+        if len(chosen) < len(proposal.chosen):
+            proposals.append(replace(proposal, chosen=chosen))
     return proposals
 
 

@@ -10,7 +10,7 @@ import pytest
 from sysid.effects import OVERWHELMING_T
 from sysid.effects.catalogue import coefficient_effect, subsystem_effects
 from sysid.effects.information import Information
-from sysid.effects.selection import SelectedEffect
+from sysid.effects.selection import SelectedEffect, Selection
 from tests.helpers.whitened import information_of
 from tests.uqharness.refinement.linear_aircraft import PARAMETERS, LinearFlights
 from uqharness.refinement.effect_search import (
@@ -18,6 +18,7 @@ from uqharness.refinement.effect_search import (
     SearchOutcome,
     comparable_candidates,
     delays_among_times,
+    simpler_servos,
 )
 from uqharness.refinement.servos import LikeliestServos
 
@@ -64,6 +65,15 @@ def test_likely_servos_are_fitted_although_no_candidate_alone_is_selected():
     assert {*truth.fitted[0]} == {*effects}
     # The simulated flights decide.
     assert outcome.model.keys == set()
+
+
+def test_servos_with_lag_and_rate_limit_are_also_proposed_with_one_of_them():
+    elevator, aileron = "effect/actuator.elevator/", "effect/actuator.aileron/"
+    keys = [f"{elevator}lag", f"{elevator}rate_limit", f"{aileron}lag"]
+    chosen = tuple(SelectedEffect(k, 0.1, 0.01, 10.0, 100.0, 50.0, 0.0) for k in keys)
+    simpler = [[*s.values] for s in simpler_servos(Selection(chosen))]
+    assert simpler == [[f"{elevator}lag", f"{aileron}lag"], [f"{elevator}rate_limit", keys[2]]]
+    assert simpler_servos(Selection(chosen[1:])) == []
 
 
 def test_two_effects_are_named_with_their_values():
