@@ -307,7 +307,7 @@ class AircraftFitter:
         try:
             baseline = context.baseline_fit.trajectory.point
             with stage_models(staged, data) as models:
-                # What the baseline's estimates owe to missing effects may be far from linear.
+                # Missing effects may have driven the baseline's estimates far from the XML's.
                 current = models.model.current_values(self.aircraft.dt_s, [*baseline.values])
                 as_written = dict(zip(baseline.values, current.tolist(), strict=True))
                 starts = (

@@ -183,24 +183,24 @@ class EffectSearch:
         reference = baseline = context.model_without_effects(information)
         models: list[CandidateModel] = []
         visited: set[frozenset[str]] = set()
-        doubts: set[str] = set()
+        simulated_refusals: set[str] = set()
         trail = [f"round 1: {line}" for line in baseline.reselection.trail]
         competitors_left = tuned.MAX_COMPETITORS
         for number in range(2, MAX_MODELS + 2):
             # Propose. Stop at a model that proposes itself, unless its linearisation may be the
             # reason for refusing a candidate.
-            proposal, doubted = reference.reselection, None
+            proposal, refused = reference.reselection, None
             servos = None
             if reference is baseline and number == 2:
                 servos = context.servo_proposal(information, proposal)
             if servos is None and (reference.is_stationary or not proposal.chosen):
-                doubted = proposal.refused
-                is_strong = doubted is not None and abs(doubted.t) > context.critical_t
-                if doubted is None or doubted.key in doubts or not is_strong:
+                refused = proposal.refused
+                is_strong = refused is not None and abs(refused.t) > context.critical_t
+                if refused is None or refused.key in simulated_refusals or not is_strong:
                     break
-                doubts.add(doubted.key)
-                proposal = with_refused(context, reference, doubted.key)
-            selected = proposal
+                simulated_refusals.add(refused.key)
+                proposal = with_refused(context, reference, refused.key)
+            stepwise = proposal
             if servos is not None:
                 proposal = servos
             # Fit. The model is None if neither replays nor a filter follow the flights with it.
@@ -215,11 +215,11 @@ class EffectSearch:
                 model = self._best_competitor(model, simpler, reference, f"{name}-one")
             competitors = competing_proposals(context, model, proposal, reference)
             if (
-                selected.chosen
-                and selected is not proposal
-                and (model is None or selected.gain > reference.criterion - model.criterion)
+                stepwise.chosen
+                and stepwise is not proposal
+                and (model is None or stepwise.gain > reference.criterion - model.criterion)
             ):
-                competitors = [selected, *competitors]
+                competitors = [stepwise, *competitors]
             competitors = competitors[:competitors_left]
             competitors_left -= len(competitors)
             model = self._best_competitor(model, competitors, reference, name)
@@ -233,7 +233,7 @@ class EffectSearch:
                 winner, loser = listed(model.keys), listed(proposal.values)
                 trail.append(f"round {number}: {winner} has a lower criterion than {loser}")
             new = model.keys - reference.keys
-            if doubted is not None and not new <= selected_beside(context, model, reference):
+            if refused is not None and not new <= selected_beside(context, model, reference):
                 trail.append(f"round {number}: {listed(new)}: refused in simulation, too")
                 break
             # Keep the best of each set of samples, and the last.
@@ -326,11 +326,10 @@ def best_model(models: Sequence[CandidateModel]) -> CandidateModel | None:
 
 
 def with_refused(context: SearchContext, reference: CandidateModel, key: str) -> Selection:
-    """Return the proposal of a model's effects and of a candidate of which parts of the flights, or
-    other candidates, raise a doubt.
+    """Return the proposal of a model's effects and of a refused candidate.
 
-    They may do so because the model lacks it: about a wrong model, linearisation errors differ
-    between manoeuvres.
+    Parts of the flights may contradict each other because the model lacks it: about a wrong model,
+    linearisation errors differ between manoeuvres.
     """
     keys = [*reference.values, key]
     return Selection(estimate_selected(reference.information, context.free, keys, ()))

@@ -195,33 +195,38 @@ def likeliest_servos(
 
         late_s = control_delay_s(point, segment.flight)
         if control not in trials:
-            moved = segment.on_rows(values - delayed_command(values, commands.time_s, late_s))
-            return {control: moved} if late_s else {}
+            change = segment.on_rows(values - delayed_command(values, commands.time_s, late_s))
+            return {control: change} if late_s else {}
         before = delayed_command(positions(data.servos[control]), commands.time_s, late_s)
         return {t.name: segment.on_rows(positions(t.servo) - before) for t in trials[control]}
 
     information = _information_of(data, fit, estimator, CONTROLS, changes)
     delays = [control_delay_name(f) for f in data.timed]
     free = information.index(n for n in fit.columns[0].names if n not in delays)
-    every = [trial for rows in trials.values() for trial in rows]
+    servos = [trial for rows in trials.values() for trial in rows]
     in_time = [c for c in CONTROLS if c in information.names]
-    columns = information.index([*(t.name for t in every), *in_time])
+    columns = information.index([*(t.name for t in servos), *in_time])
     g, u = project_out(*information.total, free, columns)
-    required = np.array([sum(required_gains[k] for k in t.effects) for t in every])
+    required = np.array([sum(required_gains[k] for k in t.effects) for t in servos])
     # All combinations of one servo per surface, with the other controls in time.
-    n = len(every)
+    n = len(servos)
     in_time_gain = float(2.0 * u[n:].sum() - g[n:, n:].sum())
     gain = 2.0 * u[:n] - np.diagonal(g)[:n] - 2.0 * g[:n, n:].sum(axis=1) - required
     best: tuple[int, ...] = ()
     best_gain = 0.0
-    *outer, last = ([k for k, t in enumerate(every) if t.surface == s] for s in trials)
-    for some in itertools.product(*outer):
-        beside = gain[last] - 2.0 * g[np.ix_(last, some)].sum(axis=1)
-        pairs = itertools.combinations(some, 2)
-        total = in_time_gain + gain[[*some]].sum() - 2.0 * sum(g[pair] for pair in pairs) + beside
+    *outer, last = ([k for k, t in enumerate(servos) if t.surface == s] for s in trials)
+    for choice in itertools.product(*outer):
+        gain_of_last = gain[last] - 2.0 * g[np.ix_(last, choice)].sum(axis=1)
+        pairs = itertools.combinations(choice, 2)
+        total = (
+            in_time_gain
+            + gain[[*choice]].sum()
+            - 2.0 * sum(g[pair] for pair in pairs)
+            + gain_of_last
+        )
         if total.max() > best_gain:
-            best, best_gain = (*some, last[int(np.argmax(total))]), float(total.max())
-    effects = {key: x for k in best for key, x in every[k].effects.items()}
+            best, best_gain = (*choice, last[int(np.argmax(total))]), float(total.max())
+    effects = {key: x for k in best for key, x in servos[k].effects.items()}
     return LikeliestServos(effects, best_gain) if effects else None
 
 
