@@ -121,15 +121,20 @@ class Selection:
     ----------
     chosen : tuple of SelectedEffect
         The strongest first.
-    refused : RejectedCandidate or None
-        The best candidate that was rejected last.
+    refusals : tuple of RejectedCandidate
+        The candidates that were rejected last, the best first; little alike.
     trail : tuple of str
         The steps in words.
     """
 
     chosen: tuple[SelectedEffect, ...]
-    refused: RejectedCandidate | None = None
+    refusals: tuple[RejectedCandidate, ...] = ()
     trail: tuple[str, ...] = ()
+
+    @property
+    def refused(self) -> RejectedCandidate | None:
+        """The best candidate that was rejected last."""
+        return self.refusals[0] if self.refusals else None
 
     @property
     def values(self) -> dict[str, float]:
@@ -229,15 +234,15 @@ def select(
         critical_t = critical_t_of(information, free, list(required_gains))
     search = _Stepwise(information, free, required_gains, critical_t, empirical)
     current, trail = list(chosen), list[str]()
-    refused: RejectedCandidate | None = None
+    refusals: tuple[RejectedCandidate, ...] = ()
     for _ in range(3 * MAX_EFFECTS):
-        before, refused = list(current), None
+        before, refusals = list(current), ()
         search.exchange(current, trail)
         search.prune(current, trail)
-        entering = search.entering(current) if len(current) < MAX_EFFECTS else None
-        if isinstance(entering, RejectedCandidate):
-            refused = entering
-        elif entering is not None:
+        entering = search.entering(current) if len(current) < MAX_EFFECTS else ()
+        if isinstance(entering, tuple):
+            refusals = entering
+        else:
             current.append(entering.key)
             trail.append(f"+ {entering.key} t {entering.t:.1f} gain {entering.gain:.0f}")
             if abs(entering.t) > decisive_t:
@@ -245,7 +250,7 @@ def select(
         if current == before:
             break
     return Selection(
-        estimate_selected(information, free, current, list(required_gains)), refused, tuple(trail)
+        estimate_selected(information, free, current, list(required_gains)), refusals, tuple(trail)
     )
 
 
@@ -285,27 +290,30 @@ class _Stepwise:
                 break
             trail.append(f"- {current.pop(worst)} t {t[worst]:.1f}")
 
-    def entering(self, current: Sequence[str]) -> SelectedEffect | RejectedCandidate | None:
-        """Return the candidate that enters, or the best one that is rejected.
+    def entering(self, current: Sequence[str]) -> SelectedEffect | tuple[RejectedCandidate, ...]:
+        """Return the candidate that enters, or those that are rejected.
 
         If the flights contradict each other about the best candidate, another missing effect may
         bias it: candidates with little correlation to it (`UNRELATED_CORRELATION`) are tried next.
         It is tried again after one of them has entered.
         """
         keys = [c for c in self.required_gains if c not in current]
-        first: RejectedCandidate | None = None
+        refusals: list[RejectedCandidate] = []
         for _ in range(MAX_ENTRY_ATTEMPTS):
             best = self.best_candidate(current, keys)
-            if not (isinstance(best, RejectedCandidate) and best.unconfirmed):
-                return best if isinstance(best, SelectedEffect) else first or best
-            first = first or best
+            if isinstance(best, SelectedEffect):
+                return best
+            if best is not None:
+                refusals.append(best)
+            if best is None or not best.unconfirmed:
+                break
             alike = column_correlations(self.information, [*self.free, *current], best.key, keys)
             keys = [
                 k
                 for k, a in zip(keys, alike, strict=True)
                 if k != best.key and abs(np.nan_to_num(a)) < tuned.UNRELATED_CORRELATION
             ]
-        return first
+        return tuple(refusals)
 
     def best_candidate(
         self, current: Sequence[str], keys: Sequence[str]

@@ -187,17 +187,22 @@ class EffectSearch:
         trail = [f"round 1: {line}" for line in baseline.reselection.trail]
         competitors_left = tuned.MAX_COMPETITORS
         for number in range(2, MAX_MODELS + 2):
-            # Propose. Stop at a model that proposes itself, unless its linearisation may be the
-            # reason for refusing a candidate.
+            # Propose. At a model that proposes itself, return to the best one: its linearisation
+            # may be the reason for refusing a candidate. Stop if all these have been simulated.
             proposal, refused = reference.reselection, None
             servos = None
             if reference is baseline and number == 2:
                 servos = context.servo_proposal(information, proposal)
             if servos is None and (reference.is_stationary or not proposal.chosen):
-                refused = proposal.refused
-                is_strong = refused is not None and abs(refused.t) > context.critical_t
-                if refused is None or refused.key in simulated_refusals or not is_strong:
+                reference = best_model([baseline, *models]) or baseline
+                refusals = [
+                    r
+                    for r in reference.reselection.refusals
+                    if abs(r.t) > context.critical_t and r.key not in simulated_refusals
+                ]
+                if not refusals:
                     break
+                refused = refusals[0]
                 simulated_refusals.add(refused.key)
                 proposal = with_refused(context, reference, refused.key)
             stepwise = proposal
@@ -233,9 +238,11 @@ class EffectSearch:
                 winner, loser = listed(model.keys), listed(proposal.values)
                 trail.append(f"round {number}: {winner} has a lower criterion than {loser}")
             new = model.keys - reference.keys
-            if refused is not None and not new <= selected_beside(context, model, reference):
+            if refused is not None and not (
+                is_better(model, reference) and new <= selected_beside(context, model, reference)
+            ):
                 trail.append(f"round {number}: {listed(new)}: refused in simulation, too")
-                break
+                continue
             # Keep the best of each set of samples, and the last.
             models = [*(m for m in models if m is best_model([*models, m])), model]
             reference = model
@@ -323,6 +330,12 @@ def best_model(models: Sequence[CandidateModel]) -> CandidateModel | None:
     """
     comparable = [m for m in models if m.estimator.same_samples(m.keys, models[-1].keys)]
     return min(comparable, key=lambda m: m.criterion, default=None)
+
+
+def is_better(model: CandidateModel, reference: CandidateModel) -> bool:
+    """Return whether a model has the lower criterion, or one of other samples."""
+    same = model.estimator.same_samples(model.keys, reference.keys)
+    return not same or model.criterion < reference.criterion
 
 
 def with_refused(context: SearchContext, reference: CandidateModel, key: str) -> Selection:
@@ -454,7 +467,8 @@ def _result_of(context: SearchContext, baseline: Baseline, outcome: SearchOutcom
         )
     else:
         refused = _unconfirmed(context, model.reselection) or model.reselection.refused
-        selection = replace(model.reselection, chosen=(), refused=refused)
+        refusals = () if refused is None else (refused,)
+        selection = replace(model.reselection, chosen=(), refusals=refusals)
     # A number that JSBSim reads once is within its error of the one flown, and what depends on it
     # moves by that, too.
     parameters = one_step_estimates(

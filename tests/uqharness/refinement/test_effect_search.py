@@ -10,7 +10,7 @@ import pytest
 from sysid.effects import OVERWHELMING_T
 from sysid.effects.catalogue import coefficient_effect, subsystem_effects
 from sysid.effects.information import Information
-from sysid.effects.selection import SelectedEffect, Selection
+from sysid.effects.selection import RejectedCandidate, SelectedEffect, Selection
 from tests.helpers.whitened import information_of
 from tests.uqharness.refinement.linear_aircraft import PARAMETERS, LinearFlights
 from uqharness.refinement.effect_search import (
@@ -164,6 +164,38 @@ def test_an_effect_whose_parts_differ_by_a_wrong_replay_is_simulated(size, error
     assert selection.refused is not None
     assert "parts" in selection.refused.reason
     assert search(truth).model.keys == keys
+
+
+class TwoRefusals(LinearFlights):
+    """Flights whose baseline refuses two candidates, of which the first is not there."""
+
+    keys = "effect/Cm/de^2", "effect/Cm/alpha^2"
+
+    def context(self, critical_t=None):
+        """Return the context, with a selection of nothing about the model without effects."""
+        context, information = super().context(critical_t)
+        refusals = tuple(
+            RejectedCandidate(k, 8.0, 64.0, "parts", unconfirmed=True) for k in self.keys
+        )
+        empty = Selection((), refusals)
+        select = context.select
+
+        class Context(type(context)):
+            """Selects as usual about other models."""
+
+            def select(self, about, free, chosen=()):
+                """Return the empty selection about the baseline."""
+                return empty if about is information and not chosen else select(about, free, chosen)
+
+        return Context(**vars(context)), information
+
+
+def test_the_next_refused_candidate_is_simulated_where_the_first_is_not_there():
+    truth = TwoRefusals(flights(**{"alpha^2": 60.0}).truth)
+    context, information = truth.context()
+    outcome = EffectSearch(context, truth, lambda _: None).search(information, "round")
+    assert truth.fitted[:2] == [(k,) for k in truth.keys]
+    assert outcome.model.keys == {"effect/Cm/alpha^2"}
 
 
 # Which other candidates compete, from normal equations with known columns.
