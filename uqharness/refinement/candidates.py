@@ -24,9 +24,7 @@ from sysid.effects import (
     tuned,
 )
 from sysid.effects.catalogue import catalogue
-from uqharness.identification.linearised import (
-    FlightData,
-)
+from uqharness.identification.linearised import FlightData
 from uqharness.replay import CONTROLS, SENSOR_OF
 from uqharness.simulator import Actuator
 

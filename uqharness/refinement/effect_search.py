@@ -190,9 +190,7 @@ class EffectSearch:
             # Propose. At a model that proposes itself, return to the best one: its linearisation
             # may be the reason for refusing a candidate. Stop if all these have been simulated.
             proposal, refused = reference.reselection, None
-            servos = None
-            if reference is baseline and number == 2:
-                servos = context.servo_proposal(information, proposal)
+            servos = context.servo_proposal(information, proposal) if number == 2 else None
             if servos is None and (reference.is_stationary or not proposal.chosen):
                 reference = best_model([baseline, *models]) or baseline
                 refusals = [
@@ -205,9 +203,7 @@ class EffectSearch:
                 refused = refusals[0]
                 simulated_refusals.add(refused.key)
                 proposal = with_refused(context, reference, refused.key)
-            stepwise = proposal
-            if servos is not None:
-                proposal = servos
+            stepwise, proposal = proposal, servos or proposal
             # Fit. The model is None if neither replays nor a filter follow the flights with it.
             self.callback(f"round {number}: fitting {listed(proposal.values)}")
             name = f"{label}{number}"

@@ -195,8 +195,8 @@ def likeliest_servos(
 
         late_s = control_delay_s(point, segment.flight)
         if control not in trials:
-            change = segment.on_rows(values - delayed_command(values, commands.time_s, late_s))
-            return {control: change} if late_s else {}
+            late = delayed_command(values, commands.time_s, late_s)
+            return {control: segment.on_rows(values - late)}
         before = delayed_command(positions(data.servos[control]), commands.time_s, late_s)
         return {t.name: segment.on_rows(positions(t.servo) - before) for t in trials[control]}
 
@@ -204,7 +204,7 @@ def likeliest_servos(
     delays = [control_delay_name(f) for f in data.timed]
     free = information.index(n for n in fit.columns[0].names if n not in delays)
     servos = [trial for rows in trials.values() for trial in rows]
-    in_time = [c for c in CONTROLS if c in information.names]
+    in_time = [c for c in CONTROLS if c not in trials]
     columns = information.index([*(t.name for t in servos), *in_time])
     g, u = project_out(*information.total, free, columns)
     required = np.array([sum(required_gains[k] for k in t.effects) for t in servos])

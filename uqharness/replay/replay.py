@@ -284,12 +284,13 @@ def run_controls(
     if late:
         # A servo without a lag slews at its limit however small a share of a step it is given, so
         # its motion is delayed, and commands it.
-        for control, servo in _servos(model, properties).items():
+        servos = _servos(model, properties).items()
+        slewing = {c: s for c, s in servos if s.lag is None and math.isfinite(s.rate)}
+        on_time = controls(0.0) if slewing else out
+        for control, servo in slewing.items():
             k = model.controls.index(control)
-            if servo.lag is None and math.isfinite(servo.rate):
-                on_time = controls(0.0)[:, [k]]
-                motion = servo.follow(on_time[:, 0], shape.dt_s, shape.dt_s)
-                out[:, k] = _delayed(motion[:, None], late)[:, 0]
+            motion = servo.follow(on_time[:, k], shape.dt_s, shape.dt_s)
+            out[:, k] = _delayed(motion[:, None], late)[:, 0]
     return model.to_property(out)
 
 

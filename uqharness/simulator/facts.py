@@ -653,7 +653,9 @@ def _proportional_position(
     standard = {name for group in _POSITIONS.values() for name in group}
     nearest: tuple[str | None, str | None] = None, None
     smallest = _LIKE_THROW_SHARE * throw_deg
-    for name in set.intersection(*({*row.positions} for row in rows)) - standard:
+    for name in rows[0].positions:
+        if name in standard or any(name not in row.positions for row in rows):
+            continue
         values = [row.positions[name] for row in rows]
         travel = 0.5 * (values[-2] - values[0])
         if not (all(map(math.isfinite, values)) and travel > _MIN_TRAVEL):
